@@ -38,7 +38,6 @@ from streamlod.core.train import (
     TrainedFrame,
     Trainer,
 )
-from streamlod.core.train.later_frame.parts import Neighbourhoods
 
 _log = logging.getLogger(__name__)
 PERCEIVED = 4  # frames of a clip, evenly spread, on which the slow LPIPS is measured
@@ -154,10 +153,7 @@ def with_coarser_steps(config: TrainConfig, factor: float) -> TrainConfig:
         latent_rate=config.predict.latent_rate / factor,
         position_rate=config.predict.position_rate / factor,
     )
-    parts = (
-        replace(part, rate=part.rate / factor) if isinstance(part, Neighbourhoods) else part for part in config.parts
-    )
-    return replace(config, predict=predict, parts=tuple(parts))
+    return replace(config, predict=predict)
 
 
 def perceived_frames(frames: int) -> set[int]:

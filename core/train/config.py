@@ -209,7 +209,7 @@ class PredictConfig:
         0.3, "Adam's rate of latents, in steps", reading(0.2, "none given (docs/method.md, reading 12)")
     )
     position_rate: float = setting(
-        0.1,
+        0.2,
         "Adam's rate of positions, in pixels of the camera that shows an anchor largest",
         reading(0.2, "none given (docs/method.md, reading 12)"),
     )

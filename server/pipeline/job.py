@@ -61,7 +61,7 @@ class TrainJob:
     set: dict[str, int | float | str | bool] | None = option(
         None,
         "Settings of the method in place of the preset's, by part and name; docs/preset-paper.md has all.",
-        metavar="keyframe.steps=500,continuation.share=0.8",
+        metavar="keyframe.steps=500,new_anchors.share=0.002",
         max_length=MAX_PATH,
     )
     device: str = device_option()

@@ -20,7 +20,7 @@ from streamlod.core.train.field.exposure import neutral
 from streamlod.core.train.field.field import Field
 
 FEATURES = 32
-MEMORY, RATES, PRICE, DSSIM = 0.6, (0.3, 0.7, 1.4), 0.007, 0.2  # of the preset live
+MEMORY, RATES, PRICE, DSSIM = 0.6, (0.3, 0.7), 0.007, 0.2  # of the preset live
 
 
 @dataclass(frozen=True)
@@ -53,10 +53,8 @@ def make_step(sizes: Sizes, device: str, seed: int = 0) -> TrainingStep:
     room = step_room(_capacity(sizes), device)
     load_cameras(room, cameras, neutral(sizes.cameras, device))
     feature, offset = 0.3 * torch.randn(12, FEATURES, generator=g), 0.1 * torch.randn(12, 3 * sizes.slots, generator=g)
-    group = (moving.position / 0.25).floor().long().unique(dim=0, return_inverse=True)[1]
-    arm = torch.zeros_like(moving.position)
     step = torch.full((sizes.moving,), 0.002, device=device)
-    load_anchors(room, moving, feature.to(device), offset.to(device), step, group, arm)
+    load_anchors(room, moving, feature.to(device), offset.to(device), step)
     load_still(room, [still.decode(torch.zeros(3, device=device))])
     shape = (sizes.cameras, sizes.height, sizes.width, 3)
     smooth = torch.rand(sizes.cameras, 3, 9, 16, generator=g)
@@ -91,7 +89,6 @@ def _capacity(sizes: Sizes) -> Capacity:
         height=sizes.height,
         anchors=sizes.moving,
         slots=sizes.slots,
-        groups=max(64, sizes.moving // 4),
         still=gaussians,
         moving_pairs=sizes.views * sizes.moving * sizes.slots * 8,
         still_pairs=sizes.cameras * gaussians * 4,

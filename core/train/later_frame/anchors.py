@@ -5,20 +5,18 @@ Those that are there already are changed by residuals (paper section IV-C); of n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import torch
 from torch import Tensor
 
-from streamlod.core.arrays import Bool, Float32, Int32
+from streamlod.core.arrays import Bool, Int32
+from streamlod.core.scene.anchors import LATENTS
 from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.field.rounding import dead_zone
 from streamlod.core.train.growth.new_anchors import added_levels
 from streamlod.core.train.later_frame.added_anchors import MAX_STEPS, AddedAnchors
 from streamlod.core.train.later_frame.apply import UnitChange, applied
-from streamlod.core.train.later_frame.part import Hooks
 from streamlod.core.train.later_frame.state import State
 from streamlod.core.train.later_frame.update import IntegerUpdate
 from streamlod.core.train.optimise.adam import RowAdam
@@ -30,9 +28,7 @@ class TrainedAnchors:
     """Anchors `rows` [n] of a state in training.
 
     Args:
-        values: what is trained, by name, with its first values (`Hooks.start`).
         steps_a_pixel: [n,1] of each. Positions are trained in pixels, and known to all others in steps.
-        hooks: of the frame's parts, which say how positions come about.
         memory: Adam's beta_1.
     """
 
@@ -40,9 +36,7 @@ class TrainedAnchors:
         self,
         state: State,
         rows: Tensor,
-        values: dict[str, Tensor],
         steps_a_pixel: Tensor,
-        hooks: Sequence[Hooks],
         memory: float,
     ) -> None:
         scene, field = state.scene, state.field
@@ -53,10 +47,9 @@ class TrainedAnchors:
         self._unit = UnitChange(feature, offset, by_level[self.base.level][:, None])
         self._steps_a_pixel = steps_a_pixel
         self._median_steps_a_pixel = float(steps_a_pixel.median()) if len(rows) else 1.0  # asked of the device once
-        pixels = values | {"position": values["position"] / steps_a_pixel}
-        leaves = {name: value.clone().requires_grad_() for name, value in pixels.items()}
-        self._hooks = hooks
-        self.optimiser = RowAdam(leaves, memory)
+        widths = {"latent": LATENTS, "position": 3}
+        leaves = {name: torch.zeros(len(rows), width, device=device) for name, width in widths.items()}
+        self.optimiser = RowAdam({name: value.requires_grad_() for name, value in leaves.items()}, memory)
         self._mean = MeanOfSteps()
         self._added: AddedAnchors | None = None
 
@@ -66,15 +59,7 @@ class TrainedAnchors:
     @property
     def moves(self) -> Tensor:
         """[n,3] how far each anchor goes in steps."""
-        moves = self.optimiser.parameters["position"]
-        for one in self._hooks:
-            moves = one.moved(moves, self.optimiser.parameters)
-        return moves * self._steps_a_pixel
-
-    @property
-    def own_moves(self) -> Tensor:
-        """[n,3] how far each anchor goes by itself, in steps."""
-        return self.optimiser.parameters["position"].detach() * self._steps_a_pixel
+        return self.optimiser.parameters["position"] * self._steps_a_pixel
 
     def bits(self, moves: Tensor) -> Tensor:
         """[] that the residuals of all n would take; `moves` as above."""
@@ -111,8 +96,6 @@ class TrainedAnchors:
     def step(self, config: PredictConfig, decay: float) -> None:
         """Apply the gradients; rates have fallen to the share `decay`."""
         rates = {"latent": config.latent_rate, "position": config.position_rate}
-        for one in self._hooks:
-            rates |= one.rates()
         steps = config.position_rate * self._median_steps_a_pixel
         added = {} if self._added is None else self._added.rates(steps, decay)
         self.optimiser.step({name: rate * decay for name, rate in rates.items()} | added)
@@ -148,13 +131,7 @@ class TrainedAnchors:
             steps,
             loss,
             self.optimiser.broken,
-            wanted=self.wanted(),
         )
-
-    def wanted(self) -> Float32:
-        """[n,27] latents and positions before rounding."""
-        wanted = torch.cat([self.optimiser.parameters["latent"], self.moves], dim=1).detach()
-        return np.asarray(wanted.nan_to_num(0.0, 0.0, 0.0).cpu().numpy())
 
 
 def _finite_integers(values: Tensor) -> Int32:

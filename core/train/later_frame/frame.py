@@ -1,7 +1,7 @@
 """One later frame from its pictures to its residual: compare, select, start, train, round, settle.
 
 What a frame does beyond these six stages is done by parts (`core.train.later_frame.part`), whose hooks run in the order
-of `TrainConfig.parts`: when training starts, after each step, and when the state is rounded.
+of `TrainConfig.parts`: before the first step and after each.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from torch import Tensor
 
 from streamlod.core.arrays import Bool
 from streamlod.core.render.backends import Backend
-from streamlod.core.scene.anchors import LATENTS
 from streamlod.core.scene.residual import Residual, apply
 from streamlod.core.train.config import PartSettings, PredictConfig, TrainConfig
 from streamlod.core.train.control.frame_budget import FrameProgress
@@ -82,23 +81,22 @@ def train_later_frame(state: State, views: Views, index: int, means: Means) -> L
         dynamic, renewed = _selected(state, coarse, index, config, means)
         dynamic = _worth_training(state, dynamic, pictures, means)
     rows = torch.from_numpy(np.flatnonzero(dynamic)).to(state.field.feature.device)
-    update, training, hooks = no_update(0), None, list[Hooks]()
+    update, training = no_update(0), None
     if len(rows):
         seen = _beginning(state, rows, pictures, coarse, means)
-        hooks, values = started(means.config.parts, seen, means.allows, watch)
+        hooks = started(means.config.parts, seen, means.allows, watch)
         with watch.stage("train"):
             useful = _useful(coarse, config)
-            training = FrameTraining(seen, values, hooks, means.exposure, useful, means.backend, config.memory)
+            training = FrameTraining(seen, hooks, means.exposure, useful, means.backend, config.memory)
             generator = torch.Generator().manual_seed(means.config.seed + index)
             update = training.run(config, generator, means.pace)
     with watch.stage("round"):
         if plan is not None:
             update = strongest_changes(update, plan.most_changes_beside(update.new))
-        # what had no time or no bytes goes on where it ended
+        # what had no time or no bytes counts as changed in the next frame
         done = update.complete and (plan is None or not plan.strained)
         residual = residual_of(state.scene, rows.cpu().numpy(), update, index)
-        columns = {name: kept for one in hooks for name, kept in one.columns(update, done=done).items()}
-        after = state.after(residual, apply(state.scene, residual), dynamic, rows, columns)
+        after = state.after(residual, apply(state.scene, residual), dynamic)
     with watch.stage("settle"):
         shown = state.shown
         if training is not None:
@@ -158,17 +156,15 @@ def _beginning(state: State, rows: Tensor, pictures: Comparison, coarse: Compari
 
 def started(
     parts: Sequence[PartSettings], seen: Beginning, allows: Callable[[str], bool], watch: Stopwatch
-) -> tuple[list[Hooks], dict[str, Tensor]]:
-    """Hooks of the parts for which there is time, and what is trained, by name, with its first values."""
-    count, device, hooks = len(seen.rows), seen.rows.device, list[Hooks]()
-    values = {"latent": torch.zeros(count, LATENTS, device=device), "position": torch.zeros(count, 3, device=device)}
+) -> list[Hooks]:
+    """Hooks of the parts for which there is time."""
+    hooks = list[Hooks]()
     for part in parts:
         assert isinstance(part, FramePart)
         if not part.is_costly or allows(part.name):
             with watch.stage(part.name):
                 hooks.append(part.begin(seen))
-                values = hooks[-1].start(values)
-    return hooks, values
+    return hooks
 
 
 def _useful(pictures: Comparison, config: PredictConfig) -> list[int]:

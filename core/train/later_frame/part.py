@@ -1,4 +1,4 @@
-"""One mechanism of a later frame that can be left out: its settings, what it keeps of each anchor, and its hooks.
+"""One mechanism of a later frame that can be left out: its settings and its hooks.
 
 A part is a frozen dataclass of settings whose `begin` makes its hooks for one frame. A frame runs the hooks of all
 parts of its configuration in their order (`core.train.later_frame.frame`); gsplat's strategies are the model.
@@ -17,7 +17,6 @@ from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.state import State
-from streamlod.core.train.later_frame.update import IntegerUpdate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,10 +50,6 @@ class Training(Protocol):
 
     numbers: list[int]
 
-    @property
-    def position(self) -> Tensor:
-        """[n,3] steps that the anchors have gone by themselves."""
-
     def begin_at(self, position: Tensor) -> None:
         """Let them begin `position` [n,3] steps from where they were."""
 
@@ -80,31 +75,11 @@ class Training(Protocol):
 class Hooks:
     """What a part does during one frame; every hook does nothing unless a part overrides it."""
 
-    def start(self, values: dict[str, Tensor]) -> dict[str, Tensor]:
-        """All that is trained by name, with its first values: ``latent`` [n,24], ``position`` [n,3], those of parts."""
-        return values
-
-    def moved(self, own: Tensor, parameters: dict[str, Tensor]) -> Tensor:
-        """[n,3] pixels that the anchors go if by themselves they go `own`."""
-        return own
-
-    def rates(self) -> dict[str, float]:
-        """Learning rates of the part's own parameters."""
-        return {}
-
     def ready(self, training: Training) -> None:
         """The pictures are planned, and no step has been taken."""
 
     def stepped(self, training: Training, number: int, raster: Raster, progress: float) -> None:
         """A step on camera `number` was taken, `progress` of the frame (0 to 1) is done."""
-
-    def columns(self, update: IntegerUpdate, *, done: bool) -> dict[str, Tensor]:
-        """What the part keeps of the n anchors for the next frame, by name: [n,...], zeros for all others.
-
-        Args:
-            done: nothing was cut short.
-        """
-        return {}
 
 
 @dataclass(frozen=True, slots=True)

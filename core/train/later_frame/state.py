@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from dataclasses import field as value
 
 import numpy as np
 import torch
@@ -32,7 +30,6 @@ class State:
             as `references`.
         shown: [C,H,W,3] what the cameras would film of the state, NaN where that is not known; None likewise.
         trained: [N] bool, the anchors that the latest frame trained.
-        columns: [N,...] what parts keep of each anchor, by name (`core.train.later_frame.part`).
     """
 
     scene: Scene
@@ -41,7 +38,6 @@ class State:
     references: Tensor | None
     shown: Tensor | None
     trained: Bool
-    columns: Mapping[str, Tensor] = value(default_factory=dict)
     filmed: Tensor | None = None
 
     @property
@@ -58,22 +54,9 @@ class State:
         names = ("feature", "offset", "position")
         return all(torch.equal(getattr(self.field, name), getattr(self.canonical, name)) for name in names)
 
-    def after(
-        self, residual: Residual, scene: Scene, trained: Bool, rows: Tensor, columns: Mapping[str, Tensor]
-    ) -> State:
-        """The state that `residual` led to; changed rows are dequantised again, as the decoder does it.
-
-        Args:
-            trained: [N] bool. rows: [n] their numbers, and `columns` [n,...] what parts keep of them.
-        """
-        device = self.field.feature.device
-        kept = {
-            name: values.new_zeros(len(self.field), *values.shape[1:], device=device).index_copy_(
-                0, rows, values.to(device)
-            )
-            for name, values in columns.items()
-        }
-        after = replace(self, scene=scene, trained=trained, columns=kept)
+    def after(self, residual: Residual, scene: Scene, trained: Bool) -> State:
+        """The state that `residual` led to by training `trained` [N]; changed rows are dequantised as decoders do."""
+        after = replace(self, scene=scene, trained=trained)
         if any(len(part.added) for part in residual.levels):
             return after._with_added_rows(residual, level_starts(self.scene))
         return replace(after, field=self._changed(residual, scene))
@@ -112,7 +95,6 @@ class State:
             field=field,
             canonical=self.canonical.with_rows(known).with_values(new, field),
             trained=(origin < 0) | self.trained[np.maximum(origin, 0)],
-            columns={name: values[known].index_fill_(0, new, 0) for name, values in self.columns.items()},
         )
 
 

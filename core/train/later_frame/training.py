@@ -39,7 +39,6 @@ class FrameTraining:
 
     Args:
         seen: the state before, the anchors to train, and the pictures.
-        values: what is trained, by name, with its first values (`Hooks.start`).
         hooks: of the parts that take part, begun with `seen`.
         exposure: of the cameras.
         useful: cameras to train on, the most important first.
@@ -50,7 +49,6 @@ class FrameTraining:
     def __init__(
         self,
         seen: Beginning,
-        values: dict[str, Tensor],
         hooks: Sequence[Hooks],
         exposure: Exposure,
         useful: list[int],
@@ -62,7 +60,7 @@ class FrameTraining:
         others = state.alive.index_fill(0, seen.rows, False)
         cameras = [views.cameras[number] for number in views.usable]
         pixels = steps_a_pixel(seen.base, state.scene.header.position_steps, cameras)
-        self._anchors = TrainedAnchors(state, seen.rows, values, pixels, hooks, memory)
+        self._anchors = TrainedAnchors(state, seen.rows, pixels, memory)
         self._hooks, self._all, self._exposure, self._useful = hooks, field, exposure, useful
         self._shown = state.shown
         black = torch.zeros(3, device=device)
@@ -115,17 +113,12 @@ class FrameTraining:
             return loss
 
         losses = run_steps(step, reached)
-        if not losses:  # a guess of where things go that no picture has confirmed is not sent, but not forgotten
-            return replace(no_update(len(self._anchors)), complete=False, wanted=self._anchors.wanted())
+        if not losses:  # a guess of where things go that no picture has confirmed is not sent
+            return replace(no_update(len(self._anchors)), complete=False)
         self._anchors.settle()
         loss = float(torch.stack(losses[-len(self.numbers) :]).mean())
         update = self._anchors.update(self._visible(), len(losses), loss)
         return replace(update, complete=len(losses) >= total and len(self._whole.caches) == len(self._useful))
-
-    @property
-    def position(self) -> Tensor:
-        """As `Training.position`."""
-        return self._anchors.own_moves
 
     def begin_at(self, position: Tensor) -> None:
         """As `Training.begin_at`."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from streamlod.core.arrays import Bool, Float32, Int16, Int32, Int64
+from streamlod.core.arrays import Bool, Int16, Int32, Int64
 from streamlod.core.scene.anchors import LATENTS, AnchorLevel, Scene, empty_level
 from streamlod.core.scene.residual import LevelResidual, Residual
 from streamlod.core.train.field.convert import level_starts
@@ -22,7 +22,6 @@ class IntegerUpdate:
         added: new anchors by level, or None for none.
         steps, loss, repaired: figures of the training.
         complete: whether training ran to its end and every change is sent.
-        wanted: [n,27] float32 latents and positions before rounding, or None for zeros.
     """
 
     latent: Int32
@@ -33,17 +32,11 @@ class IntegerUpdate:
     loss: float = 0.0
     repaired: int = 0
     complete: bool = True
-    wanted: Float32 | None = None
 
     @property
     def new(self) -> int:
         """Anchors that are added."""
         return 0 if self.added is None else sum(len(level) for level in self.added)
-
-    @property
-    def sent(self) -> Float32:
-        """[n,27] the integers of latents and positions."""
-        return np.concatenate([self.latent, self.position], axis=1).astype(np.float32)
 
 
 def no_update(anchors: int) -> IntegerUpdate:

@@ -29,7 +29,7 @@ def with_settings(config: TrainConfig, changes: Mapping[str, Value]) -> TrainCon
     """`config` with some settings changed; the list of parts first, as it says which parts have settings.
 
     Args:
-        changes: values by name, for example ``{"keyframe.steps": 500, "parts": "continuation+new_anchors"}``.
+        changes: values by name, for example ``{"keyframe.steps": 500, "parts": "flow_search+new_anchors"}``.
 
     Raises:
         InputError: a name that is unknown, with those that are like it; a value of another type or out of bounds.

@@ -145,8 +145,7 @@ def test_a_change_is_trained_until_that_helps_no_more(clip: Dataset, images: lis
 @pytest.mark.parametrize("factor", [100.0, 1e-3])
 def test_rates_far_off_stay_finite(clip: Dataset, images: list[UInt8], first: Scene, factor: float) -> None:
     predict = PredictConfig()
-    rates = {name: getattr(predict, name) * factor for name in ("latent_rate", "position_rate")}
-    wild = with_settings(config(**rates), {"neighbourhoods.rate": 0.2 * factor})
+    wild = config(**{name: getattr(predict, name) * factor for name in ("latent_rate", "position_rate")})
     loop(Trainer(clip.cameras, wild, clip.fps, "cpu"), first, images[1:4])
 
 

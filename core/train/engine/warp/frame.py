@@ -20,25 +20,18 @@ from streamlod.core.train.field.field import Field
 from streamlod.core.train.loss.photometric import blurred_moments
 
 
-def load_anchors(
-    room: StepRoom, base: Field, feature: Tensor, offset: Tensor, step: Tensor, group: Tensor, arm: Tensor
-) -> None:
+def load_anchors(room: StepRoom, base: Field, feature: Tensor, offset: Tensor, step: Tensor) -> None:
     """The anchors in training, as they were before the frame.
 
     Args:
         base: n anchors. feature [12,F], offset [12,3K]: the latents' decoders. step: [n] world units of a position's.
-        group: [n] number of each anchor's neighbourhood. arm: [n,3] from its middle.
 
     Raises:
-        ModelError: more anchors or neighbourhoods than there is room for.
+        ModelError: more anchors than there is room for.
     """
     count, capacity = len(base), room.capacity
-    groups = int(group.max()) + 1 if count else 0
-    if count > capacity.anchors or groups > capacity.groups:
-        raise ModelError(
-            f"{count} anchors in {groups} neighbourhoods are to be trained, and there is room for "
-            f"{capacity.anchors} in {capacity.groups}"
-        )
+    if count > capacity.anchors:
+        raise ModelError(f"{count} anchors are to be trained, and there is room for {capacity.anchors}")
     network, features = base.network, base.feature.shape[1]
     hidden = network.hidden_weight[:features]
     _fill(room.base.hidden, torch.addmm(network.hidden_bias, base.feature, hidden))
@@ -48,8 +41,6 @@ def load_anchors(
     _fill(room.base.scale_size, size[:, 3:])
     _fill(room.base.node, base.position)
     _fill(room.base.step, step)
-    _fill(room.base.group, group)
-    _fill(room.base.arm, arm)
     view_of(room.base.count)[0] = count
     view_of(room.moving_count)[0] = count * capacity.slots
     load_network(room, network, feature, offset, features)
@@ -125,11 +116,11 @@ def load_pictures(room: StepRoom, targets: Tensor, shown: Tensor, weights: Tenso
 
 
 def begin(room: StepRoom, latent: Tensor, position: Tensor) -> None:
-    """Let training begin at `latent` [n,24] and `position` [n,3], with neighbourhoods at rest and no moments."""
+    """Let training begin at `latent` [n,24] and `position` [n,3], without moments."""
     t, count = room.trained, len(latent)
     for array in (t.values, t.gradient, t.first, t.second, t.mean, t.totals, t.broken):
         array.zero_()
-    numbers = view_of(t.values)[: room.capacity.anchors * 27].view(-1, 27)
+    numbers = view_of(t.values).view(-1, 27)
     numbers[:count] = torch.cat([latent, position], dim=1)
 
 

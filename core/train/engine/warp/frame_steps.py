@@ -22,14 +22,13 @@ class StepSettings:
     """What a step goes by.
 
     Attributes:
-        latent_rate, position_rate, group_rate: Adam's, in steps of the numbers.
+        latent_rate, position_rate: Adam's, in steps of the numbers.
         memory: beta_1, the share of the mean gradient that each step keeps.
         price: of a bit, in units of the loss. dssim_weight: share of D-SSIM in the loss.
     """
 
     latent_rate: float
     position_rate: float
-    group_rate: float
     memory: float
     price: float
     dssim_weight: float
@@ -42,7 +41,7 @@ def told(number: int, settings: StepSettings, counted: int = 0) -> tuple[float, 
         counted: steps in the mean with this one, 0 if it does not count into it.
     """
     first = 1 - settings.memory ** (number + 1)
-    rates = (settings.latent_rate, settings.position_rate, settings.group_rate)
+    rates = (settings.latent_rate, settings.position_rate)
     return (
         *(rate / first for rate in rates),
         1 / (1 - _BETA2 ** (number + 1)),
@@ -57,12 +56,10 @@ def told(number: int, settings: StepSettings, counted: int = 0) -> tuple[float, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameNumbers:
-    """Numbers of n anchors and M neighbourhoods: latent [n,24], position [n,3], shift [M,3], turn [M,3]."""
+    """Numbers of n anchors: latent [n,24], position [n,3]."""
 
     latent: Tensor
     position: Tensor
-    shift: Tensor
-    turn: Tensor
 
 
 class FrameSteps:
@@ -99,10 +96,8 @@ class FrameSteps:
         """What the last step left; where steps counted into the mean, the mean."""
         room = self._step.room
         flat = view_of(room.trained.mean if self._counted else room.trained.values)
-        anchors, groups = torch.split(flat, [room.capacity.anchors * (LATENTS + 3), room.capacity.groups * 6])
-        own = anchors.view(-1, LATENTS + 3)[: self._count].clone()
-        shift, turn = groups.view(-1, 2, 3).clone().unbind(dim=1)
-        return FrameNumbers(own[:, :LATENTS], own[:, LATENTS:], shift, turn)
+        own = flat.view(-1, LATENTS + 3)[: self._count].clone()
+        return FrameNumbers(own[:, :LATENTS], own[:, LATENTS:])
 
     def _mark(self, number: int) -> None:
         """Make tiles dirty that anchors reach at the numbers that they have: the known picture shows them there."""

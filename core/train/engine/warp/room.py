@@ -27,7 +27,7 @@ class Capacity:
 
     Attributes:
         views: pictures of a step. cameras: of the rig. width, height: of every picture, in pixels.
-        anchors: in training. slots: Gaussians of each. groups: neighbourhoods.
+        anchors: in training. slots: Gaussians of each.
         still: Gaussians that stand still. moving_pairs, still_pairs: of a Gaussian and a tile, of all views, cameras.
         steps: of a frame. sees_views: whether the network sees the view.
     """
@@ -38,7 +38,6 @@ class Capacity:
     height: int
     anchors: int
     slots: int
-    groups: int
     still: int
     moving_pairs: int
     still_pairs: int
@@ -48,7 +47,7 @@ class Capacity:
     @property
     def numbers(self) -> int:
         """Numbers that are trained."""
-        return self.anchors * (LATENTS + 3) + self.groups * 6
+        return self.anchors * (LATENTS + 3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +151,6 @@ def _anchor_base(c: Capacity, zeros: Any) -> Any:
     base.hidden, base.offset = zeros((c.anchors, HIDDEN)), zeros((c.anchors, c.slots), wp.vec3)
     base.offset_size, base.scale_size = zeros(c.anchors, wp.vec3), zeros(c.anchors, wp.vec3)
     base.node, base.step = zeros(c.anchors, wp.vec3), zeros(c.anchors)
-    base.group, base.arm = zeros(c.anchors, int), zeros(c.anchors, wp.vec3)
     return base
 
 

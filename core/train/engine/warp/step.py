@@ -115,5 +115,5 @@ class TrainingStep:
         """Adam, the mean of the last steps, and the loss put down."""
         r, t = self.room, self.room.trained
         moments = [t.gradient, t.first, t.second, t.values, t.mean]
-        given = [r.told, r.capacity.anchors, *moments, t.broken, t.totals, t.losses]
+        given = [r.told, *moments, t.broken, t.totals, t.losses]
         wp.launch(adam, dim=r.capacity.numbers, inputs=given, device=r.device)

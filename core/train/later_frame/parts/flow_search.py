@@ -21,7 +21,7 @@ from streamlod.core.train.motion.optical_flow import anchor_flow
 from streamlod.core.train.motion.scene_flow import flow_error, scene_flow
 from streamlod.core.train.setting import left_out, setting
 
-_LEAST_GAIN = 0.2  # pixels by which a guess must fit the flow better than the usual start
+_LEAST_GAIN = 0.2  # pixels by which a guess must fit the flow better than rest
 _WORTH = 0.1  # of summed absolute errors, in units of [0, 1], that a guess must mend
 _MAX_STEPS = 400.0  # no motion is longer: one wild flow must not throw an anchor out of the scene
 
@@ -41,26 +41,19 @@ class FlowSearch(FramePart):
 
     def begin(self, seen: Beginning) -> Hooks:
         """As `FramePart.begin`."""
-        return _Searching(self.pixels, seen)
+        return _Searching(guessed_positions(seen.state, seen.rows, seen.coarse, self.pixels))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class _Searching(Hooks):
-    def __init__(self, pixels: float, seen: Beginning) -> None:
-        self._pixels, self._seen = pixels, seen
-        self._guess: Tensor | None = None
-
-    def start(self, values: dict[str, Tensor]) -> dict[str, Tensor]:
-        seen = self._seen
-        self._guess = guessed_positions(seen.state, seen.rows, values["position"], seen.coarse, self._pixels)
-        return values
+    guess: Tensor
 
     def ready(self, training: Training) -> None:
-        assert self._guess is not None
-        training.begin_at(better_starts(training.position, self._guess, training))
+        training.begin_at(better_starts(self.guess, training))
 
 
-def guessed_positions(state: State, rows: Tensor, usual: Tensor, pictures: Comparison, least: float) -> Tensor:
-    """[n,3] steps that optical flow says the trained anchors `rows` [n] go; `usual` [n,3] where it says nothing better.
+def guessed_positions(state: State, rows: Tensor, pictures: Comparison, least: float) -> Tensor:
+    """[n,3] steps that optical flow says the trained anchors `rows` [n] go; zeros where it says nothing better.
 
     Args:
         pictures: in which flow is looked for.
@@ -68,7 +61,7 @@ def guessed_positions(state: State, rows: Tensor, usual: Tensor, pictures: Compa
     """
     found = anchor_flow(state.field, rows, pictures.filmed, pictures.views, pictures.masks, least)
     going = found.seen.any(dim=0)
-    guess = usual.clone()
+    guess = torch.zeros(len(rows), 3, device=rows.device)
     if not going.any():
         return guess
     found, position = found.of(going), state.field.position[rows[going]]
@@ -76,28 +69,26 @@ def guessed_positions(state: State, rows: Tensor, usual: Tensor, pictures: Compa
     cameras = pictures.views.cameras
     step = steps[state.field.level[rows[going]]][:, None]
     motion = scene_flow(position, found, cameras)
-    starts = torch.zeros_like(motion), usual[going] * step
-    known = torch.stack([flow_error(start, position, found, cameras) for start in starts]).amin(dim=0)
-    better = known - flow_error(motion, position, found, cameras) > _LEAST_GAIN
-    led = (motion / step).clamp(-_MAX_STEPS, _MAX_STEPS)
-    guess[going] = torch.where(better[:, None], led, usual[going])
+    at_rest = flow_error(torch.zeros_like(motion), position, found, cameras)
+    better = at_rest - flow_error(motion, position, found, cameras) > _LEAST_GAIN
+    guess[going] = torch.where(better[:, None], (motion / step).clamp(-_MAX_STEPS, _MAX_STEPS), 0.0)
     return guess
 
 
-def better_starts(usual: Tensor, guess: Tensor, training: Training) -> Tensor:
-    """[n,3] of two starts, `usual` and `guess` [n,3], for each anchor the one that shows more of what was filmed."""
-    differs = (usual != guess).any(dim=1)
+def better_starts(guess: Tensor, training: Training) -> Tensor:
+    """[n,3] of rest and `guess` [n,3], for each anchor the start that shows more of what was filmed."""
+    rest, differs = torch.zeros_like(guess), guess.any(dim=1)
     if not differs.any():
-        return usual
-    worth = torch.zeros(len(usual), device=usual.device)
+        return rest
+    worth = torch.zeros(len(guess), device=guess.device)
     for number in training.numbers:
-        places = [_tinted(training.splats_at(number, start)) for start in (usual, guess)]
+        places = [_tinted(training.splats_at(number, start)) for start in (rest, guess)]
         pictures, target = training.draw_two(number, *places), training.target(number)
         shots = [_Shot(image, splats.colours) for image, splats in zip(pictures, places, strict=True)]
         error, guessed = ((shot.image.detach() - target).abs().sum(dim=2) for shot in shots)
         for shot in shots:
-            worth += shot.sums(error - guessed, len(usual))
-    return torch.where((differs & (worth > _WORTH))[:, None], guess, usual)
+            worth += shot.sums(error - guessed, len(guess))
+    return torch.where((differs & (worth > _WORTH))[:, None], guess, rest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -46,5 +46,5 @@ def training_of(
 ) -> FrameTraining:
     """Training of the anchors `trained` [N], by all usable cameras."""
     seen = beginning_of(state, trained, views, masks, max_new=max_new, bit_price=bit_price)
-    hooks, values = started(parts, seen, lambda stage: True, Stopwatch())
-    return FrameTraining(seen, values, hooks, neutral(len(views.cameras)), list(views.usable), backend)
+    hooks = started(parts, seen, lambda stage: True, Stopwatch())
+    return FrameTraining(seen, hooks, neutral(len(views.cameras)), list(views.usable), backend)

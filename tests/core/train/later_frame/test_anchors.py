@@ -10,7 +10,6 @@ from streamlod.core.camera import pinhole
 from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import scene_of
 from streamlod.core.train.later_frame.anchors import TrainedAnchors
-from streamlod.core.train.later_frame.parts.neighbourhoods import _Together, neighbourhoods
 from streamlod.core.train.later_frame.state import State, fresh_state
 from tests.core.train.fields import random_field
 
@@ -25,10 +24,7 @@ def state() -> State:
 
 @pytest.fixture
 def anchors(state: State) -> TrainedAnchors:
-    rows = torch.arange(0, 30, 2)
-    hooks = _Together(0.2, neighbourhoods(state.field.position[rows], 2.0 * state.field.octree.motion_cell))
-    values = hooks.start({"latent": torch.zeros(15, 24), "position": torch.zeros(15, 3)})
-    return TrainedAnchors(state, rows, values, torch.ones(15, 1), [hooks], 0.9)
+    return TrainedAnchors(state, torch.arange(0, 30, 2), torch.ones(15, 1), 0.9)
 
 
 def sent(anchors: TrainedAnchors) -> tuple[int, int]:
@@ -37,15 +33,15 @@ def sent(anchors: TrainedAnchors) -> tuple[int, int]:
     return int(update.latent[0, 0]), int(update.position[0, 0])
 
 
-def put(anchors: TrainedAnchors, latent: float, shift: float) -> None:
+def put(anchors: TrainedAnchors, latent: float, position: float) -> None:
     with torch.no_grad():
         anchors.optimiser.parameters["latent"].fill_(latent)
-        anchors.optimiser.parameters["shift"].fill_(shift)
+        anchors.optimiser.parameters["position"].fill_(position)
 
 
 def test_the_mean_of_counted_steps_is_sent(anchors: TrainedAnchors) -> None:
-    for latent, shift in ((4.0, 10.0), (8.0, 20.0)):
-        put(anchors, latent, shift)
+    for latent, position in ((4.0, 10.0), (8.0, 20.0)):
+        put(anchors, latent, position)
         anchors.average()
     put(anchors, -50.0, -50.0)
     anchors.settle()

@@ -8,7 +8,6 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from streamlod.core.frames import FrameSet
 from streamlod.core.render.raster import Raster
@@ -18,7 +17,6 @@ from streamlod.core.train import TrainConfig, Trainer, preset
 from streamlod.core.train.later_frame.frame import started
 from streamlod.core.train.later_frame.part import Beginning, FramePart, Hooks, Training
 from streamlod.core.train.later_frame.state import fresh_state
-from streamlod.core.train.later_frame.update import IntegerUpdate
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.progress import Stopwatch
 from tests.core.train.later_frame.begun import beginning_of
@@ -30,46 +28,28 @@ CLIP = open_synthetic(SPEC)
 
 @dataclass(frozen=True, slots=True)
 class Witness(FramePart):
-    """A toy: shifts all anchors, and remembers which hooks ran."""
+    """A toy that remembers which hooks ran."""
 
     name: ClassVar[str] = "witness"
     ran: list[str] = field(default_factory=list)
-    kept: list[Tensor | None] = field(default_factory=list)
 
     def begin(self, seen: Beginning) -> Hooks:
         """As `FramePart.begin`."""
-        known = seen.state.columns.get("witness.count")
-        self.kept.append(None if known is None else known[seen.rows])
         self.ran.append("begin")
-        return _Witnessing(self.ran, len(seen.rows))
+        return _Witnessing(self.ran)
 
 
 @dataclass
 class _Witnessing(Hooks):
     ran: list[str]
-    count: int
-
-    def start(self, values: dict[str, Tensor]) -> dict[str, Tensor]:
-        self.ran.append("start")
-        return values | {"nudge": torch.zeros(3)}
-
-    def moved(self, own: Tensor, parameters: dict[str, Tensor]) -> Tensor:
-        return own + parameters["nudge"]
-
-    def rates(self) -> dict[str, float]:
-        return {"nudge": 1.0}
 
     def ready(self, training: Training) -> None:
         self.ran.append("ready")
-        assert training.position.shape == (self.count, 3)
+        assert training.numbers
 
     def stepped(self, training: Training, number: int, raster: Raster, progress: float) -> None:
         self.ran.append("step")
         assert number in training.numbers
-
-    def columns(self, update: IntegerUpdate, *, done: bool) -> dict[str, Tensor]:
-        self.ran.append("columns")
-        return {"witness.count": torch.ones(self.count, dtype=torch.int64)}
 
 
 @pytest.fixture(scope="module")
@@ -91,18 +71,13 @@ def first(frames: list[FrameSet]) -> Scene:
     return Trainer(CLIP.cameras, configured(), CLIP.fps, "cpu").keyframe(frames[0], true_points(SPEC)).scene
 
 
-def test_the_hooks_of_a_part_run_in_order_and_its_columns_come_back(frames: list[FrameSet], first: Scene) -> None:
+def test_the_hooks_of_a_part_run_in_order(frames: list[FrameSet], first: Scene) -> None:
     witness = Witness()
     trainer = Trainer(CLIP.cameras, replace(configured(), parts=(witness,)), CLIP.fps, "cpu")
     trainer.resume(first)
     for frame in frames[1:3]:
         trainer.predict(frame)
-    once = ["begin", "start", "ready", *["step"] * 6, "columns"]
-    assert witness.ran == 2 * once
-    assert witness.kept[0] is None
-    assert witness.kept[1] is not None
-    assert set(witness.kept[1].tolist()) <= {0, 1}
-    assert witness.kept[1].sum() > 0
+    assert witness.ran == 2 * ["begin", "ready", *["step"] * 6]
 
 
 @pytest.mark.parametrize("left_out", [*(part.name for part in preset("live").parts), "all"])
@@ -130,7 +105,5 @@ def test_a_costly_part_is_left_out_where_there_is_no_time(first: Scene) -> None:
     blank = Views(CLIP.cameras, torch.zeros(3, 56, 96, 3), [0, 1, 2])
     trained = np.arange(len(state.field)) < 5
     seen = beginning_of(state, trained, blank, torch.ones(3, 56, 96, dtype=torch.bool))
-    hooks, values = started(costly, seen, allows, Stopwatch())
-    assert hooks == []
+    assert started(costly, seen, allows, Stopwatch()) == []
     assert asked == [part.name for part in costly] == ["flow_search"]
-    assert {name: value.shape for name, value in values.items()} == {"latent": (5, 24), "position": (5, 3)}

@@ -1,4 +1,4 @@
-"""What the trainer keeps of an anchor stays with it when anchors are added and rows are numbered anew."""
+"""Which anchors were trained is known when anchors are added and rows are numbered anew."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from streamlod.core.train.later_frame.update import no_update, residual_of
 from tests.core.train.fields import random_field
 
 
-def test_added_anchors_leave_the_changes_of_others_with_them() -> None:
+def test_added_anchors_count_as_trained_and_move_the_rows_of_others() -> None:
     camera = pinhole("cam00", (40.0, 40.0), (20.0, 12.0), (40, 24), np.eye(4))
     scene = scene_of(random_field(30), PredictConfig(), (camera,), 30.0, 0)
     state = fresh_state(scene, "cpu")
@@ -29,14 +29,9 @@ def test_added_anchors_leave_the_changes_of_others_with_them() -> None:
     update = replace(no_update(3), position=position, added=added)
     residual = residual_of(scene, rows.numpy(), update, 1)
     partition = np.isin(np.arange(30), rows)
-    columns = {"sent": torch.from_numpy(update.sent), "count": torch.arange(1, 4)}
-    after = state.after(residual, apply(scene, residual), partition, rows, columns)
+    after = state.after(residual, apply(scene, residual), partition)
 
     assert len(after.field) == 32
-    moved = torch.tensor([2, 13, 27])  # a row more after level 0, two after level 1
-    torch.testing.assert_close(after.columns["sent"][moved], columns["sent"])
-    assert after.columns["count"][moved].tolist() == [1, 2, 3]
-    others = torch.ones(32, dtype=torch.bool)
-    others[moved] = False
-    for kept in after.columns.values():
-        assert not kept[others].any()
+    starts = level_starts(after.scene)
+    added = [starts[1] - 1, starts[2] - 1]  # one at the end of each level of its own
+    assert np.flatnonzero(after.trained).tolist() == sorted([2, 13, 27, *added])  # one row more, two more

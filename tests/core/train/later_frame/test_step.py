@@ -23,7 +23,6 @@ from streamlod.core.camera import pinhole
 from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import scene_of
 from streamlod.core.train.keyframe.trainer import Views
-from streamlod.core.train.later_frame.parts import Neighbourhoods
 from streamlod.core.train.later_frame.state import State, fresh_state
 from streamlod.core.train.later_frame.training import FrameTraining
 from streamlod.core.train.optimise.schedule import ViewOrder
@@ -95,7 +94,7 @@ def prepared(view_dependent: bool) -> FrameTraining:
     some = np.arange(len(field)) % 3 == 0
     views = Views((camera,), torch.rand(1, HEIGHT, WIDTH, 3), [0])
     masks = torch.ones(1, HEIGHT, WIDTH, dtype=torch.bool)
-    trainer = training_of(state, some, views, masks, (Neighbourhoods(),), backend="cuda")
+    trainer = training_of(state, some, views, masks, backend="cuda")
     trainer._whole.plan(0, trainer._splats(0))
     return trainer
 

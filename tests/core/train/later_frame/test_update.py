@@ -10,8 +10,7 @@ from streamlod.core.train.later_frame.update import IntegerUpdate, strongest_cha
 def quanta(sizes: list[int]) -> IntegerUpdate:
     latent = np.zeros((len(sizes), 24), np.int32)
     latent[:, 3] = sizes
-    wanted = np.concatenate([latent, np.zeros((len(sizes), 3))], axis=1).astype(np.float32) + 0.25
-    return IntegerUpdate(latent, np.zeros((len(sizes), 3), np.int32), np.zeros(len(sizes), np.bool_), wanted=wanted)
+    return IntegerUpdate(latent, np.zeros((len(sizes), 3), np.int32), np.zeros(len(sizes), np.bool_))
 
 
 def test_few_changes_are_all_kept() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from streamlod.core.errors import InputError
 from streamlod.core.train import preset
-from streamlod.core.train.later_frame.parts import AnchorGrowth, Continuation
+from streamlod.core.train.later_frame.parts import AnchorGrowth, FlowSearch
 from streamlod.core.train.presets.settings import PARTS, Value, setting_names, with_settings
 
 
@@ -32,9 +32,9 @@ def test_every_setting_is_reached_and_only_it_changes(name: str) -> None:
 
 
 def test_parts_are_left_out_and_keep_their_settings() -> None:
-    config = with_settings(preset("live"), {"continuation.share": 0.5})
-    fewer = with_settings(config, {"new_anchors.share": 0.01, "parts": "new_anchors+continuation"})
-    assert fewer.parts == (AnchorGrowth(share=0.01), Continuation(share=0.5))
+    config = with_settings(preset("live"), {"flow_search.pixels": 2})
+    fewer = with_settings(config, {"new_anchors.share": 0.01, "parts": "new_anchors+flow_search"})
+    assert fewer.parts == (AnchorGrowth(share=0.01), FlowSearch(pixels=2.0))
     assert with_settings(config, {"parts": ""}).parts == ()
     assert with_settings(config, {"parts": "gradient_growth"}).parts == (PARTS["gradient_growth"],)
 
@@ -43,7 +43,7 @@ def test_parts_are_left_out_and_keep_their_settings() -> None:
     ("changes", "sentence"),
     [
         ({"keyframe.step": 5}, r"'keyframe.step'.*did you mean keyframe.steps"),
-        ({"nonsense": 5}, r"unknown; choose of continuation.share, "),
+        ({"nonsense": 5}, r"unknown; choose of flow_search.pixels, "),
         ({"keyframe.steps": 5.5}, "whole number from 0 to 10000000, not 5.5"),
         ({"keyframe.steps": True}, "whole number"),
         ({"keyframe.steps": -1}, "whole number"),
@@ -54,9 +54,9 @@ def test_parts_are_left_out_and_keep_their_settings() -> None:
         ({"model.selection": "some"}, "one of all, distance"),
         ({"model.levels": "few"}, "or none"),
         ({"predict.cue": 3}, "text"),
-        ({"parts": "continuaton"}, "did you mean continuation"),
-        ({"parts": "continuation+continuation"}, "twice"),
-        ({"parts": "new_anchors", "continuation.share": 0.5}, "unknown"),
+        ({"parts": "flow_serch"}, "did you mean flow_search"),
+        ({"parts": "flow_search+flow_search"}, "twice"),
+        ({"parts": "new_anchors", "flow_search.pixels": 2}, "unknown"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_sentence(changes: dict[str, Value], sentence: str) -> None:

@@ -13,7 +13,6 @@ from streamlod.core.train.engine.warp.kernels.layout import (
     NUMBERS,
     PLACE,
     PRICE,
-    RATE_GROUP,
     RATE_LATENT,
     RATE_POSITION,
     SUM_BITS,
@@ -29,7 +28,6 @@ EPSILON = wp.constant(1e-15)
 @wp.kernel(enable_backward=False, grid_stride=False)
 def adam(
     told: wp.array[float],
-    anchors: int,
     gradient: wp.array[float],
     first: wp.array[float],
     second: wp.array[float],
@@ -39,7 +37,7 @@ def adam(
     totals: wp.array[float],
     losses: wp.array[float],
 ) -> None:
-    """Grid: every number that is trained, `anchors` * 27 and then those of the neighbourhoods.
+    """Grid: every number that is trained, 27 an anchor.
 
     Args:
         told: see `layout`. gradient: in, back to zero. first, second: moments. values: the numbers.
@@ -47,9 +45,7 @@ def adam(
         totals: in, back to zero, with the step's loss in `losses` at the place that `told` says.
     """
     p = wp.tid()
-    rate = told[RATE_GROUP]
-    if p < anchors * NUMBERS:
-        rate = wp.where(p % NUMBERS < LATENT_COUNT, told[RATE_LATENT], told[RATE_POSITION])
+    rate = wp.where(p % NUMBERS < LATENT_COUNT, told[RATE_LATENT], told[RATE_POSITION])
     g = gradient[p]
     gradient[p] = 0.0
     if not (wp.abs(g) <= LARGEST):  # true for NaN too

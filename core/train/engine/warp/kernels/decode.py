@@ -53,7 +53,7 @@ def decode(
     """Grid (D, N, K), D the views if the network sees them, else 1.
 
     Args:
-        values: [N*27+M*6] numbers of the anchors, then of the neighbourhoods. chosen: [V] camera of each view.
+        values: [N*27] numbers of the anchors. chosen: [V] camera of each view.
         cloud: out, [D,N*K]. steps: out, [N] how far each anchor goes.
         rows: out, [N] sums of the quantised magnitudes of an anchor's latents and steps; totals: in and out, of all.
     """
@@ -62,7 +62,7 @@ def decode(
         return
     z = integers(values, a * NUMBERS)
     far = integers(values, a * NUMBERS + 12)
-    go = going(values, base, a)
+    go = going(values, a)
     place = base.node[a] + wp.vec3(dead_zone(go[0]), dead_zone(go[1]), dead_zone(go[2])) * base.step[a]
     view = seen_from(decoders, place, chosen[d])
     opacity = decoders.opacity[HIDDEN_UNITS, k]
@@ -115,7 +115,7 @@ def differentiate_decode(
     if a >= base.count[0]:
         return
     z = integers(values, a * NUMBERS)
-    go = going(values, base, a)
+    go = going(values, a)
     place = base.node[a] + wp.vec3(dead_zone(go[0]), dead_zone(go[1]), dead_zone(go[2])) * base.step[a]
     i = a * base.offset.shape[1] + k
     to_feature = vec12()

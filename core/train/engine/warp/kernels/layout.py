@@ -9,16 +9,15 @@ from streamlod.core.scene.quantise import DEFAULT_OFFSET
 
 LATENT_COUNT = wp.constant(LATENTS)
 NUMBERS = wp.constant(LATENTS + 3)  # of an anchor that are trained: latents, then steps along the three axes
-GROUP_NUMBERS = wp.constant(6)  # of a neighbourhood: shift, then turn
 HIDDEN_UNITS = wp.constant(HIDDEN)
 DEAD_ZONE = wp.constant(DEFAULT_OFFSET)
 
 # What a step is told, in float32: learning rates over Adam's first correction, one over its second, one minus both
 # betas, weight of this step in the mean, weight of a bit, share of D-SSIM, place where the loss is written.
-RATE_LATENT, RATE_POSITION, RATE_GROUP, INVERSE_SECOND = (wp.constant(k) for k in range(4))
-NEWS_FIRST, NEWS_SECOND, MEAN_WEIGHT, PRICE = (wp.constant(k) for k in range(4, 8))
-DSSIM_WEIGHT, PLACE = wp.constant(8), wp.constant(9)
-TOLD = 10
+RATE_LATENT, RATE_POSITION, INVERSE_SECOND = (wp.constant(k) for k in range(3))
+NEWS_FIRST, NEWS_SECOND, MEAN_WEIGHT, PRICE = (wp.constant(k) for k in range(3, 7))
+DSSIM_WEIGHT, PLACE = wp.constant(7), wp.constant(8)
+TOLD = 9
 
 # What a step adds up: quantised magnitudes of all latents and of all positions, loss of the pictures, bits.
 SUM_LATENTS, SUM_POSITIONS, SUM_LOSS, SUM_BITS = (wp.constant(k) for k in range(4))
@@ -36,7 +35,6 @@ class AnchorBase:
         hidden: [N,32] what the network's hidden units get from the feature, bias included, before activation.
         offset: [N,K]. offset_size, scale_size: [N] exp of both halves of the scaling.
         node: [N] world positions. step: [N] world units of a position's step.
-        group: [N] neighbourhood. arm: [N] from its middle, in widths of a neighbourhood.
     """
 
     count: wp.array[int]
@@ -46,8 +44,6 @@ class AnchorBase:
     scale_size: wp.array[wp.vec3]
     node: wp.array[wp.vec3]
     step: wp.array[float]
-    group: wp.array[int]
-    arm: wp.array[wp.vec3]
 
 
 @wp.struct
@@ -89,13 +85,10 @@ def integers(values: wp.array[float], first: int) -> vec12:
 
 
 @wp.func
-def going(values: wp.array[float], base: AnchorBase, a: int) -> wp.vec3:
-    """Steps that an anchor goes, by itself and with its group (`core.train.later_frame.parts.neighbourhoods`)."""
-    own = a * NUMBERS + LATENT_COUNT
-    g = base.node.shape[0] * NUMBERS + base.group[a] * GROUP_NUMBERS
-    turn = wp.vec3(values[g + 3], values[g + 4], values[g + 5])
-    shift = wp.vec3(values[g], values[g + 1], values[g + 2])
-    return wp.vec3(values[own], values[own + 1], values[own + 2]) + (shift + wp.cross(turn, base.arm[a]))
+def going(values: wp.array[float], a: int) -> wp.vec3:
+    """Steps that an anchor goes."""
+    first = a * NUMBERS + LATENT_COUNT
+    return wp.vec3(values[first], values[first + 1], values[first + 2])
 
 
 @wp.func

@@ -8,7 +8,6 @@ from streamlod.core.render.warp.kernels.lanes import is_first_lane, lanes_sum
 from streamlod.core.scene.entropy_model import BINS, UNIT_BIN
 from streamlod.core.train.engine.warp.kernels.layout import (
     DEAD_ZONE,
-    GROUP_NUMBERS,
     LATENT_COUNT,
     NUMBERS,
     PRICE,
@@ -70,12 +69,12 @@ def gather(
     totals: wp.array[float],
     gradient: wp.array[float],
 ) -> None:
-    """Grid (N, 32), a warp an anchor: add up what Gaussians and bits ask, and hand it to the neighbourhoods.
+    """Grid (N, 32), a warp an anchor: add up what Gaussians and bits ask.
 
     Args:
         values, steps, rows, pulls: of `decode` and its derivative. table: [BINS,65] bits of each magnitude.
         told, totals: see `layout`; the bits are added to `totals`.
-        gradient: out, [N*27+M*6]; the neighbourhoods' part is added to.
+        gradient: out, [N*27].
     """
     a, n = wp.tid()
     bits = float(0.0)
@@ -110,16 +109,6 @@ def gather(
         for s in range(pulls.shape[0]):
             pull += pulls[s, a, n]
         gradient[a * NUMBERS + n] = pull
-        if n >= LATENT_COUNT:
-            axis = n - LATENT_COUNT
-            g = base.node.shape[0] * NUMBERS + base.group[a] * GROUP_NUMBERS
-            along = wp.vec3(
-                wp.where(axis == 0, pull, 0.0), wp.where(axis == 1, pull, 0.0), wp.where(axis == 2, pull, 0.0)
-            )
-            turn = wp.cross(base.arm[a], along)
-            wp.atomic_add(gradient, g + axis, pull)
-            for m in range(3):
-                wp.atomic_add(gradient, g + 3 + m, turn[m])
     bits = lanes_sum(bits)
     if is_first_lane():
         wp.atomic_add(totals, SUM_BITS, bits)

@@ -22,9 +22,9 @@ from streamlod.core.train.optimise.rate import residual_bits_reference
 from tests.core.train.fields import random_field
 
 SIZE = 96, 54
-ANCHORS, SLOTS, GROUPS = 24, 4, 3
+ANCHORS, SLOTS = 24, 4
 DSSIM, PRICE = 0.2, 3e-5
-RATES = (0.1, 0.2, 0.4)
+RATES = (0.1, 0.2)
 TOLD = (*RATES, 1 / (1 - 0.999), 0.4, 0.001, 0.0, PRICE, DSSIM, 0)
 
 
@@ -34,8 +34,8 @@ class SmallFrame:
 
     Attributes:
         trained, still: anchors; the latter are decoded for each camera.
-        feature [12,F], offset [12,3K]: the latents' decoders. step: [n]. group: [n]. arm: [n,3].
-        latent: [n,24], position: [n,3] where training begins; groups: [M,6].
+        feature [12,F], offset [12,3K]: the latents' decoders. step: [n].
+        latent: [n,24], position: [n,3] where training begins.
     """
 
     cameras: tuple[Camera, ...]
@@ -45,11 +45,8 @@ class SmallFrame:
     feature: Tensor
     offset: Tensor
     step: Tensor
-    group: Tensor
-    arm: Tensor
     latent: Tensor
     position: Tensor
-    groups: Tensor
     targets: Tensor
     weights: Tensor
 
@@ -68,7 +65,6 @@ class SmallFrame:
             height=self.cameras[0].height,
             anchors=ANCHORS + 3,
             slots=SLOTS,
-            groups=GROUPS + 1,
             still=len(self.still) * SLOTS + 5,
             moving_pairs=1 << 13,
             still_pairs=1 << 13,
@@ -85,13 +81,11 @@ class SmallFrame:
 
     def load(self, room: StepRoom) -> None:
         load_cameras(room, self.cameras, self.exposure)
-        load_anchors(room, self.trained, self.feature, self.offset, self.step, self.group, self.arm)
+        load_anchors(room, self.trained, self.feature, self.offset, self.step)
         load_still(room, self.still_splats())
         load_pictures(room, self.targets, torch.zeros_like(self.targets), self.weights)
         view_of(room.sight.dirty).fill_(1)
         begin(room, self.latent, self.position)
-        rows = view_of(room.trained.values)[room.capacity.anchors * 27 :].view(-1, 6)
-        rows[: len(self.groups)] = self.groups
 
     def splats(self, latent: Tensor, moves: Tensor, camera: int) -> Splats:
         """The trained Gaussians in float64, before exposure."""
@@ -107,10 +101,6 @@ class SmallFrame:
         network = (value.double() for value in field.network.parameters())
         return Splats(*decode_reference(feature, offset, field.scaling.double(), position, *network))
 
-    def moves(self, position: Tensor, groups: Tensor) -> Tensor:
-        shift, turn = groups[self.group].split(3, dim=1)
-        return position + shift + torch.linalg.cross(turn, self.arm.double())
-
     def picture(self, splats: Splats, camera: int) -> Tensor:
         """[H,W,3] as the camera films it, in float64."""
         number = min(camera, len(self.still_splats()) - 1)
@@ -120,23 +110,21 @@ class SmallFrame:
         every = replace(every, colours=every.colours * gain + offset)
         return rasterise(*every.astuple(), self.cameras[camera], offset, backend="reference").image
 
-    def loss(self, latent: Tensor, position: Tensor, groups: Tensor, cameras: tuple[int, ...]) -> Tensor:
+    def loss(self, latent: Tensor, position: Tensor, cameras: tuple[int, ...]) -> Tensor:
         """What a step minimises, in float64."""
-        moves = self.moves(position, groups)
-        found = PRICE * residual_bits_reference(latent, moves)
+        found = PRICE * residual_bits_reference(latent, position)
         for camera in cameras:
-            image = self.picture(self.splats(latent, moves, camera), camera)
+            image = self.picture(self.splats(latent, position, camera), camera)
             weights = self.weights[camera][..., None].expand(-1, -1, 3).double()
             loss = photometric_reference(image, self.targets[camera].double(), DSSIM, None, weights)
             found = found + loss / len(cameras)
         return found
 
-    def gradients(self, cameras: tuple[int, ...]) -> tuple[float, Tensor, Tensor]:
-        """The loss, and its gradient by latents and positions [n,27] and by the neighbourhoods [M,6]."""
-        leaves = [part.double().requires_grad_() for part in (self.latent, self.position, self.groups)]
+    def gradients(self, cameras: tuple[int, ...]) -> tuple[float, Tensor]:
+        """The loss, and its gradient by latents and positions [n,27]."""
+        leaves = [part.double().requires_grad_() for part in (self.latent, self.position)]
         loss = self.loss(*leaves, cameras)
-        latent, position, groups = torch.autograd.grad(loss, leaves)
-        return float(loss.detach()), torch.cat([latent, position], dim=1), groups
+        return float(loss.detach()), torch.cat(torch.autograd.grad(loss, leaves), dim=1)
 
 
 def small_frame(*, view_dependent: bool = False, seed: int = 0, size: tuple[int, int] = SIZE) -> SmallFrame:
@@ -145,9 +133,6 @@ def small_frame(*, view_dependent: bool = False, seed: int = 0, size: tuple[int,
     field = random_field(60, SLOTS, view_dependent=view_dependent, seed=seed)
     trained, still = (field.with_rows(rows) for rows in torch.arange(60).split([ANCHORS, 36]))
     cameras = tuple(_camera(angle, size) for angle in (-0.5, 0.1, 0.6))
-    position = trained.position
-    group = torch.arange(ANCHORS) % GROUPS
-    middle = torch.stack([position[group == k].mean(dim=0) for k in range(GROUPS)])
     return SmallFrame(
         cameras=cameras,
         exposure=Exposure(1 + 0.1 * torch.randn(3, 3, generator=g), 0.02 * torch.randn(3, 3, generator=g)),
@@ -156,11 +141,8 @@ def small_frame(*, view_dependent: bool = False, seed: int = 0, size: tuple[int,
         feature=0.2 * torch.randn(12, 8, generator=g),
         offset=0.1 * torch.randn(12, 3 * SLOTS, generator=g),
         step=0.01 + 0.01 * torch.rand(ANCHORS, generator=g),
-        group=group,
-        arm=position - middle[group],
         latent=2 * torch.randn(ANCHORS, 24, generator=g) * (torch.rand(ANCHORS, 24, generator=g) < 0.4),
         position=3 * torch.randn(ANCHORS, 3, generator=g),
-        groups=2 * torch.randn(GROUPS, 6, generator=g),
         targets=torch.rand(3, *size[::-1], 3, generator=g),
         weights=1 + torch.rand(3, *size[::-1], generator=g),
     )

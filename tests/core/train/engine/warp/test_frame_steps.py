@@ -15,7 +15,7 @@ from tests.core.train.engine.warp.rooms import DSSIM, PRICE, small_frame
 
 pytestmark = pytest.mark.long  # compiling the kernels takes a minute
 
-SETTINGS = StepSettings(0.3, 0.7, 1.4, 0.6, PRICE, DSSIM)
+SETTINGS = StepSettings(0.3, 0.7, 0.6, PRICE, DSSIM)
 MIDDLE = Sizes(anchors=300, moving=12, slots=4, width=96, height=54, cameras=3)
 
 
@@ -26,11 +26,9 @@ def test_numbers_are_the_mean_of_the_steps_that_count() -> None:
     for number in range(6):
         loss = steps.take((number % 3,), SETTINGS, counts=number >= 3)
         assert loss.isfinite()
-        seen.append(view_of(room.trained.values)[: room.capacity.anchors * 27].view(-1, 27).clone())
+        seen.append(view_of(room.trained.values).view(-1, 27).clone())
     mean, found = torch.stack(seen[3:]).mean(dim=0)[: len(frame.latent)], steps.numbers()
     assert torch.allclose(torch.cat([found.latent, found.position], dim=1), mean, rtol=1e-5, atol=1e-5)
-    assert found.shift.shape == found.turn.shape == (room.capacity.groups, 3)
-    assert found.shift[: len(frame.groups)].any()
 
 
 def test_adam_is_told_what_the_usual_one_works_out() -> None:
@@ -40,14 +38,14 @@ def test_adam_is_told_what_the_usual_one_works_out() -> None:
     steps = FrameSteps(step, (), frame.latent, frame.position)
     leaf = torch.cat([frame.latent, frame.position], dim=1).requires_grad_()
     usual = RowAdam({"latent": leaf}, SETTINGS.memory)
-    rate = StepSettings(0.3, 0.3, 0.0, SETTINGS.memory, PRICE, DSSIM)
+    rate = StepSettings(0.3, 0.3, SETTINGS.memory, PRICE, DSSIM)
     for number in range(4):
         step.tell(number, told(number, rate), (number % 3,))  # the gradient first, from a step that is not ended
         step.show()
         step.judge()
         step.pull()
         flat = view_of(room.trained.gradient)
-        leaf.grad = flat[: room.capacity.anchors * 27].view(-1, 27)[: len(leaf)].clone()
+        leaf.grad = flat.view(-1, 27)[: len(leaf)].clone()
         flat.zero_()
         view_of(room.trained.totals).zero_()
         steps.take((number % 3,), rate, counts=False)

@@ -19,10 +19,10 @@ from streamlod.core.errors import ModelError
 from streamlod.core.render.warp.kernels import blend_adjoint
 from streamlod.core.train.engine.warp.frame import begin, load_pictures
 from streamlod.core.train.engine.warp.kernels import loss, rate
-from streamlod.core.train.engine.warp.room import StepRoom, view_of
+from streamlod.core.train.engine.warp.room import view_of
 from streamlod.core.train.engine.warp.step import TrainingStep
 from streamlod.core.train.optimise.adam import update_reference
-from tests.core.train.engine.warp.rooms import ANCHORS, GROUPS, RATES, TOLD, SmallFrame, relative, small_frame
+from tests.core.train.engine.warp.rooms import ANCHORS, RATES, TOLD, SmallFrame, relative, small_frame
 
 pytestmark = pytest.mark.long  # compiling the kernels takes a minute
 
@@ -34,10 +34,9 @@ def frame() -> SmallFrame:
     return small_frame()
 
 
-def numbers(room: StepRoom, array: Any) -> tuple[Tensor, Tensor]:
-    """The anchors' [n,27] and the neighbourhoods' [M,6] part of a flat array."""
-    flat, end = view_of(array), room.capacity.anchors * 27
-    return flat[:end].view(-1, 27)[:ANCHORS].clone(), flat[end:].view(-1, 6)[:GROUPS].clone()
+def numbers(array: Any) -> Tensor:
+    """[n,27] the anchors' rows of a flat array."""
+    return view_of(array).view(-1, 27)[:ANCHORS].clone()
 
 
 @pytest.mark.parametrize("view_dependent", [False, True])
@@ -48,17 +47,15 @@ def test_gradients_of_a_step_equal_the_reference(view_dependent: bool) -> None:
     step.tell(0, TOLD, cameras)
     step.show()
     for view, camera in enumerate(cameras):
-        moves = frame.moves(frame.position.double(), frame.groups.double())
-        wanted = frame.picture(frame.splats(frame.latent.double(), moves, camera), camera)
+        wanted = frame.picture(frame.splats(frame.latent.double(), frame.position.double(), camera), camera)
         assert float((view_of(room.drawn.image)[view].double() - wanted).abs().max()) < 1e-5
     step.judge()
     step.pull()
-    loss, anchors, groups = frame.gradients(cameras)
-    found, of_groups = numbers(room, room.trained.gradient)
+    loss, anchors = frame.gradients(cameras)
+    found = numbers(room.trained.gradient)
     assert relative(found[:, :12], anchors[:, :12]) < BOUND
     assert relative(found[:, 12:24], anchors[:, 12:24]) < BOUND
     assert relative(found[:, 24:], anchors[:, 24:]) < BOUND
-    assert relative(of_groups, groups) < BOUND
     step.update()
     assert float(view_of(room.trained.losses)[0]) == pytest.approx(loss, rel=1e-5)
     assert not view_of(room.trained.totals).any()
@@ -69,24 +66,23 @@ def test_a_step_is_adams_and_counts_into_the_mean(frame: SmallFrame) -> None:
     room = frame.loaded(1)
     step = TrainingStep(room)
     told = list(TOLD)
-    told[6] = 0.5
+    told[5] = 0.5
     step.tell(0, told, (1,))
-    before = numbers(room, room.trained.values)
+    before = numbers(room.trained.values)
     step.show()
     step.judge()
     step.pull()
-    gradients = numbers(room, room.trained.gradient)
+    gradients = numbers(room.trained.gradient)
     step.update()
-    after, mean = numbers(room, room.trained.values), numbers(room, room.trained.mean)
-    parts = ((before[0][:, :24], gradients[0][:, :24]), (before[0][:, 24:], gradients[0][:, 24:]))
+    after, mean = numbers(room.trained.values), numbers(room.trained.mean)
+    parts = ((before[:, :24], gradients[:, :24]), (before[:, 24:], gradients[:, 24:]))
     wanted = []
-    for (value, gradient), own in zip((*parts, (before[1], gradients[1])), RATES, strict=True):
+    for (value, gradient), own in zip(parts, RATES, strict=True):
         new = value.clone()
         update_reference(new, gradient, *torch.zeros(2, *new.shape), own, 1 - 0.999, 0.6)
         wanted.append(new)
-    assert torch.allclose(after[0], torch.cat(wanted[:2], dim=1), rtol=2e-6, atol=1e-6)
-    assert torch.allclose(after[1], wanted[2], rtol=2e-6, atol=1e-6)
-    assert torch.equal(mean[0], 0.5 * after[0])
+    assert torch.allclose(after, torch.cat(wanted, dim=1), rtol=2e-6, atol=1e-6)
+    assert torch.equal(mean, 0.5 * after)
 
 
 def test_a_broken_gradient_is_counted_and_changes_nothing(frame: SmallFrame) -> None:
@@ -182,7 +178,7 @@ def test_kernels_whose_lanes_add_up_are_launched_for_whole_warps(
     using = {name for module in (loss, rate, blend_adjoint) for name in kernels_with_lanes(module)}
     assert using == {"compare", "gather", "differentiate_blend"}
     assert {name: math.prod(launched[name]) % 32 for name in using} == dict.fromkeys(using, 0)
-    assert all(part.isfinite().all() for part in numbers(step.room, step.room.trained.values))
+    assert numbers(step.room.trained.values).isfinite().all()
 
 
 def kernels_with_lanes(module: ModuleType) -> list[str]:
@@ -202,7 +198,7 @@ def test_steps_make_the_loss_fall(frame: SmallFrame) -> None:
     begin(room, frame.latent, frame.position)
     for number in range(30):
         told = list(TOLD)
-        told[:3], told[3] = [rate / (1 - 0.6 ** (number + 1)) for rate in RATES], 1 / (1 - 0.999 ** (number + 1))
+        told[:2], told[2] = [rate / (1 - 0.6 ** (number + 1)) for rate in RATES], 1 / (1 - 0.999 ** (number + 1))
         step.run(number, told, (0, 1, 2))
     losses = view_of(room.trained.losses)[:30]
     assert losses.isfinite().all()
@@ -216,13 +212,11 @@ def test_too_few_pairs_are_told_and_lose_nothing(frame: SmallFrame) -> None:
         step.run(1, TOLD, (0, 1, 2))
     assert plenty.room.moving.overflow == 0
     assert short.room.moving.overflow > 0
-    assert all(part.isfinite().all() for part in numbers(short.room, short.room.trained.values))
+    assert numbers(short.room.trained.values).isfinite().all()
     assert int(short.room.trained.broken.numpy()[0]) == 0
 
 
-@pytest.mark.parametrize(
-    ("change", "what"), [({"anchors": 5}, "anchors"), ({"groups": 1}, "neighbourhoods"), ({"still": 3}, "stand still")]
-)
+@pytest.mark.parametrize(("change", "what"), [({"anchors": 5}, "anchors"), ({"still": 3}, "stand still")])
 def test_what_is_too_much_is_refused(frame: SmallFrame, change: dict[str, int], what: str) -> None:
     with pytest.raises(ModelError, match=what):
         frame.loaded(1, **change)
