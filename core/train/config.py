@@ -63,13 +63,14 @@ class KeyframeConfig:
     """Training of the first frame; moments and shares are fractions of the run."""
 
     steps: int = setting(
-        1200,
+        2400,
         "steps of the run",
         reading(1500, "500 epochs (section V-A) of three views (docs/method.md, reading 10)"),
     )
     half_size_until: float = setting(
-        0.2,
-        "moment until which pictures have half the width and height: a third of the time a step",
+        0.4,
+        "moment until which pictures are smaller, a third of the time a step: half the width and height, and before"
+        " that, where they are large, a quarter",
         reading(0.0, "not mentioned: pictures of full size from the start"),
     )
     feature_rate: float = setting(
@@ -141,7 +142,7 @@ class KeyframeConfig:
         reading(1.0, "without effect, as no step hides fine levels"),
     )
     growth_interval: int = setting(
-        50, "steps between two refinements", given(200, "V-A", "gradients are averaged over 200 steps")
+        25, "steps between two refinements", given(200, "V-A", "gradients are averaged over 200 steps")
     )
     growth_from: float = setting(
         0.05,
@@ -195,9 +196,9 @@ class KeyframeConfig:
 class PredictConfig:
     """Training of every later frame."""
 
-    epochs: int = setting(20, "passes over the training cameras", given(10, "V-A", "10 epochs"))
+    epochs: int = setting(16, "passes over the training cameras", given(10, "V-A", "10 epochs"))
     minimum_steps: int = setting(
-        80, "fewest steps, however few the cameras", given(0, "V-A", "10 epochs, however few the cameras")
+        120, "fewest steps, however few the cameras", given(0, "V-A", "10 epochs, however few the cameras")
     )
     half_size_until: float = setting(
         0.4,

@@ -60,8 +60,8 @@ class KeyframeTrainer:
         self._order = ViewOrder(views.usable, self._chances)
         self._exposure = neutral(len(views.cameras), device) if exposure is None else exposure.frozen()
         self._whole = views
-        first = views.halved() if self._config.half_size_until > 0 else views
-        self._view_loss = ViewLoss(first, self._exposure, self._config, backend)
+        self._sizes = views.sizes() if self._config.half_size_until > 0 else [views]
+        self._view_loss = ViewLoss(self._sizes[0], self._exposure, self._config, backend)
         self._learned = LearnedField(field, self._exposure if config.model.exposure else None)
         settings = self._config
         self._growth = GradientGrowth(settings.growth_threshold, settings.prune_opacity, settings.extra_level_gain)
@@ -104,8 +104,7 @@ class KeyframeTrainer:
         config, progress = self._config, self.progress
         field = self._learned.live
         self._highest = unlocked_level(field.octree.levels, config, progress)
-        if progress >= config.half_size_until:
-            self._view_loss = replace(self._view_loss, views=self._whole)
+        self._view_loss = replace(self._view_loss, views=self._views_at(progress))
         number = self._order.next()
         cap = self._random_cap()
         rows = self._drawn_rows(field, number, self._highest if cap is None else cap)
@@ -137,6 +136,11 @@ class KeyframeTrainer:
         if progress < config.growth_until <= self.progress:
             self._drop_idle_levels()
         return loss.detach()
+
+    def _views_at(self, progress: float) -> Views:
+        """The pictures of a step: from the smallest to the whole ones, each size for as many steps as the next."""
+        until, smaller = self._config.half_size_until, len(self._sizes) - 1
+        return self._whole if progress >= until else self._sizes[int(progress / until * smaller)]
 
     def _astray(self) -> Tensor | None:
         """[N] anchors that are where the scene is not."""

@@ -9,6 +9,8 @@ from torch.nn import functional
 
 from streamlod.core.camera import Camera
 
+_LEAST_ROWS = 160  # of pictures that are made smaller more than once
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Views:
@@ -29,6 +31,13 @@ class Views:
         targets = halved_pictures(self.targets)
         height, width = targets.shape[1:3]
         return Views(tuple(camera.scaled(width, height) for camera in self.cameras), targets, self.usable)
+
+    def sizes(self) -> list[Views]:
+        """The pictures at half the width and height again and again, the smallest first, the whole ones last."""
+        sizes = [self.halved(), self]
+        while sizes[0].targets.shape[1] >= 2 * _LEAST_ROWS:
+            sizes.insert(0, sizes[0].halved())
+        return sizes
 
 
 def halved_pictures(pictures: Tensor) -> Tensor:

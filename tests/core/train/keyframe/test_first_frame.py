@@ -12,9 +12,12 @@ from streamlod.core.camera import Camera, look_at, pinhole
 from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.core.metrics import psnr
 from streamlod.core.render.cpu import render
+from streamlod.core.render.raster import Raster
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import expand
 from streamlod.core.train import TrainConfig, Trainer, preset
+from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.keyframe.drawing import ViewLoss
 from streamlod.core.train.keyframe.levels import needed_levels
 from streamlod.core.train.pictures.views import Views
 
@@ -65,6 +68,30 @@ def test_halved_pictures_show_the_same_scene() -> None:
         seen = [camera.intrinsics @ (camera.world_to_camera @ point)[:3] for camera in (whole, half)]
         relative = [s[:2] / s[2] / (c.width, c.height) for s, c in zip(seen, (whole, half), strict=True)]
         np.testing.assert_allclose(*relative)
+
+
+@pytest.mark.parametrize(
+    ("rows", "sizes"), [(180, [90, 180]), (319, [159, 319]), (360, [180, 360]), (720, [180, 360, 720]), (1, [1, 1])]
+)
+def test_pictures_become_small_where_they_are_large(rows: int, sizes: list[int]) -> None:
+    views = Views(ring(2, 8, rows), torch.rand(2, rows, 8, 3), [0, 1])
+    assert [one.targets.shape[1] for one in views.sizes()] == sizes
+    assert views.sizes()[-1] is views
+
+
+def test_a_first_frame_goes_from_small_pictures_to_the_whole_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn, draw = list[int](), ViewLoss.draw
+
+    def noting(self: ViewLoss, splats: Splats, number: int) -> Raster:
+        drawn.append(self.views.targets.shape[1])
+        return draw(self, splats, number)
+
+    config, cameras = short(preset("live"), 10), ring(2, 32, 640)
+    config = replace(config, keyframe=replace(config.keyframe, rounding_from=1.0, growth_until=0.0))
+    pictures = np.full((2, 640, 32, 3), 99, np.uint8)
+    monkeypatch.setattr(ViewLoss, "draw", noting)
+    Trainer(cameras, config, 30.0, "cpu").keyframe(frames(pictures), wall(60))
+    assert drawn[:10] == [160, 160, 320, 320] + [640] * 6
 
 
 @pytest.mark.parametrize(
