@@ -14,6 +14,7 @@ import numpy as np
 
 from streamlod.core.arrays import Float64
 from streamlod.core.camera import Camera, look_at, pinhole
+from streamlod.core.camera.view import COUNT, camera_of_view, view_in
 from streamlod.core.errors import InputError
 from streamlod.core.scene.anchors import SceneHeader
 
@@ -22,7 +23,6 @@ _MAX_POSE_FILE_BYTES = 16_000_000
 _MAX_SIDE = 8192
 _ORBIT_PICTURES = 90  # pictures of one turn if `pictures` is not given
 _MAX_FILE_BYTES, _MAX_KEYS, _MAX_SECONDS = 1_000_000, 64, 3600.0
-_NUMBERS = 14  # of a camera's text: position, forward, down, distance, focal length, principal point, stretch
 _FORMAT = 1
 
 
@@ -90,19 +90,24 @@ def read_poses(path: Path, header: SceneHeader) -> CameraPath:
     Raises:
         InputError: the file cannot be read, or does not have this form.
     """
-    try:
-        if path.stat().st_size > _MAX_POSE_FILE_BYTES:
-            raise InputError(path, f"is larger than {_MAX_POSE_FILE_BYTES // 1_000_000} MB")
-        value = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, f"is not JSON ({error})") from error
+    value = _read_json(path, _MAX_POSE_FILE_BYTES)
     entries = value if isinstance(value, list) else [value]
     cameras = [_pose(path, number, entry, header) for number, entry in enumerate(entries)]
     if not cameras:
         raise InputError(path, "holds no pose")
     return lambda number: cameras[min(number, len(cameras) - 1)]
+
+
+def _read_json(path: Path, most: int) -> Any:
+    """What a file of at most `most` bytes says; InputError where it says nothing."""
+    try:
+        if path.stat().st_size > most:
+            raise InputError(path, f"is larger than {most // 1_000_000} MB")
+        return json.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(path, f"is not JSON ({error})") from error
 
 
 def _pose(path: Path, number: int, entry: Any, header: SceneHeader) -> Camera:
@@ -137,9 +142,7 @@ class CameraRoute:
 
     Attributes:
         seconds: [K] ascending.
-        values: [K,14] as the page's `state.camera` lists them: position, forward and down directions (3 each, world
-            units), distance to what is looked at, focal length and principal point as fractions of the picture's
-            height, and the horizontal focal length over the vertical one.
+        values: [K,14] as `core.camera.view` has them.
         loops: whether it begins again at its end.
     """
 
@@ -155,7 +158,10 @@ class CameraRoute:
     def at(self, seconds: float, size: tuple[int, int]) -> Camera:
         """The camera at a time, of a picture of `size` (width, height): cubic Hermite, each slope that between the
         neighbours (Catmull and Rom, with times), directions made orthonormal again."""
-        return _camera(self.values_at(seconds), size) or _camera(self.values[0], size) or _unreachable()
+        between = camera_of_view("path", self.values_at(seconds), size)
+        camera = between or camera_of_view("path", self.values[0], size)
+        assert camera is not None, "every viewpoint of a path was checked"
+        return camera
 
     def values_at(self, seconds: float) -> Float64:
         """[14] between the viewpoints."""
@@ -175,49 +181,23 @@ class CameraRoute:
         return np.asarray(ends + (s**3 - 2 * s**2 + s) * slope(i) + (s**3 - s**2) * slope(i + 1), np.float64)
 
 
-def _unreachable() -> Camera:
-    raise AssertionError("every viewpoint of a path was checked")
-
-
-def _camera(values: Float64, size: tuple[int, int]) -> Camera | None:
-    """None where the numbers are no camera."""
-    (width, height), (focal, right_shift, down_shift, stretch) = size, values[10:]
-    if not np.all(np.isfinite(values)) or not (values[9] > 0 and focal > 0 and stretch > 0):
-        return None
-    across = np.cross(values[6:9], values[3:6])
-    if np.linalg.norm(across) < 1e-3:
-        return None
-    forward, right = values[3:6] / np.linalg.norm(values[3:6]), across / np.linalg.norm(across)
-    rotation = np.stack([right, np.cross(forward, right), forward])
-    pose = np.concatenate([rotation, (-rotation @ values[:3])[:, None]], axis=1)
-    principal = width / 2 + right_shift * height, height / 2 + down_shift * height
-    return pinhole("path", (focal * stretch * height, focal * height), principal, size, pose)
-
-
 def read_path(file: Path) -> CameraRoute:
     """A path as the page saves it.
 
     Raises:
         InputError: the file cannot be read, or holds no such path.
     """
-    try:
-        if file.stat().st_size > _MAX_FILE_BYTES:
-            raise InputError(file, f"is larger than {_MAX_FILE_BYTES // 1_000_000} MB")
-        told = json.loads(file.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(file, f"cannot be read ({error.strerror})") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(file, f"is not JSON ({error})") from error
+    told = _read_json(file, _MAX_FILE_BYTES)
     keys = told.get("keys") if isinstance(told, dict) and told.get("version") == _FORMAT else None
     if not isinstance(keys, list) or not 1 <= len(keys) <= _MAX_KEYS:
         raise InputError(file, f"is no camera path: the page's panel of paths saves one, with up to {_MAX_KEYS} keys")
     seconds: list[float] = []
     values = []
     for number, key in enumerate(keys, 1):
-        numbers = _numbers(key)
-        time = _time(key)
-        if numbers is None or _camera(numbers, (2, 2)) is None:
-            raise InputError(file, f"viewpoint {number} has no camera of {_NUMBERS} numbers")
+        text, time = key.get("camera") if isinstance(key, dict) else None, _time(key)
+        numbers = view_in(text) if isinstance(text, str) else None
+        if numbers is None or numbers[9] <= 0 or camera_of_view("path", numbers, (2, 2)) is None:
+            raise InputError(file, f"viewpoint {number} has no camera of {COUNT} numbers")
         if time is None or (seconds and time <= seconds[-1]):
             raise InputError(file, f"viewpoint {number}: its time must be later than that of the one before")
         seconds.append(time)
@@ -230,17 +210,6 @@ def _time(key: Any) -> float | None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= _MAX_SECONDS:
         return None  # also what is not a number
     return float(value)
-
-
-def _numbers(key: Any) -> Float64 | None:
-    text = key.get("camera") if isinstance(key, dict) else None
-    if not isinstance(text, str) or len(text) > 1000:
-        return None
-    try:
-        numbers = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        return None
-    return numbers if len(numbers) == _NUMBERS else None
 
 
 def along(path: CameraRoute, size: tuple[int, int], fps: float) -> Callable[[int], Camera]:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from streamlod.client.events import Notice
-from streamlod.core.camera import Camera, pinhole
+from streamlod.core.camera import Camera
+from streamlod.core.camera.view import pinhole_of_view
 from streamlod.core.errors import InputError
 
 _MAX = 1e9
@@ -44,14 +45,11 @@ def presented(notice: Notice, size: tuple[int, int]) -> Presented | None:
     by, view, at = (notice.fields.get(name) for name in ("by", "view", "at"))
     if not isinstance(by, str) or not isinstance(view, dict):
         return None
-    width, height = size
     rotation = np.array(_numbers(view, "rotation", 9)).reshape(3, 3)
     position = np.array(_numbers(view, "position", 3))
-    shift = _numbers(view, "shift", 2)
     focal, stretch = (_numbers({name: [view.get(name)]}, name, 1)[0] for name in ("focal", "stretch"))
-    pose = np.concatenate([rotation, -rotation @ position[:, None]], axis=1)
-    middle = width / 2 + shift[0] * height, height / 2 + shift[1] * height
-    camera = pinhole("presenter", (focal * stretch * height, focal * height), middle, size, pose)
+    lens = np.array([focal, *_numbers(view, "shift", 2), stretch])
+    camera = pinhole_of_view("presenter", rotation, position, lens, size)
     mode, place = _moment(at)
     return Presented(by, camera, mode, place)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import html
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -16,12 +15,13 @@ import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 
 from streamlod.codec.decoder import SceneDecoder
-from streamlod.core.arrays import Float64
-from streamlod.core.camera import Camera, pinhole
+from streamlod.core.camera import Camera
+from streamlod.core.camera.view import camera_of_view, view_in
 from streamlod.core.errors import BitstreamError
 from streamlod.core.render.splatter import Splatter
 from streamlod.core.scene.anchors import Scene
 from streamlod.server.api.access import StreamOf, need, refusal, registry_of
+from streamlod.server.api.downloads import digest
 from streamlod.server.api.ranges import FRESH, Download, respond
 from streamlod.server.auth.gate import Right
 from streamlod.server.http.problems import PROBLEMS, Problem
@@ -38,7 +38,7 @@ _ANSWERS: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status
 
 PREVIEW_SIZE = 640, 360  # pixels
 _KEPT, _MAX_WAITING = 64, 8  # pictures
-_POSE_NUMBERS, _MAX_COORDINATE, _MAX_FOCAL = 14, 1e9, 100.0
+_MAX_FOCAL = 100.0  # heights of the picture
 
 router = APIRouter(tags=["posters"], responses=_ANSWERS)
 
@@ -78,26 +78,10 @@ class Look:
 
 def camera_of(text: str) -> Camera | None:
     """The camera of a text of the page's `state.camera`, of PREVIEW_SIZE; None where it is no such text."""
-    try:
-        numbers = np.array([float(part) for part in text.split(",", _POSE_NUMBERS)])
-    except ValueError:
+    numbers = view_in(text)
+    if numbers is None or max(numbers[10], numbers[13]) >= _MAX_FOCAL:
         return None
-    if len(numbers) != _POSE_NUMBERS or not np.all(np.abs(numbers) < _MAX_COORDINATE):
-        return None
-    centre, ahead, below, (focal, *shift, stretch) = numbers[:3], numbers[3:6], numbers[6:9], numbers[10:]
-    forward, right = _unit(ahead), _unit(np.cross(below, ahead))
-    if forward is None or right is None or not (0 < focal < _MAX_FOCAL and 0 < stretch < _MAX_FOCAL):
-        return None
-    width, height = PREVIEW_SIZE
-    rotation = np.stack([right, np.cross(forward, right), forward])
-    pose = np.concatenate([rotation, (-rotation @ centre)[:, None]], axis=1)
-    principal = width / 2 + shift[0] * height, height / 2 + shift[1] * height
-    return pinhole("look", (focal * stretch * height, focal * height), principal, PREVIEW_SIZE, pose)
-
-
-def _unit(vector: Float64) -> Float64 | None:
-    length = float(np.linalg.norm(vector))
-    return None if length < 1e-6 else np.asarray(vector / length, np.float64)
+    return camera_of_view("look", numbers, PREVIEW_SIZE)
 
 
 async def scene_at(stream: Stream, look: Look) -> Scene:
@@ -219,8 +203,7 @@ async def poster(
     if camera and camera_of(camera) is None:
         raise Problem(422, "camera: not a view as the page's links have it")
     jpeg = await request.app.state.posters.of(stream, registry_of(request).renderer, Look(camera, t, epoch))
-    etag = hashlib.sha256(jpeg).hexdigest()[:32]
-    return respond(request, Download((jpeg,), etag, "image/jpeg", FRESH, f"{stream.id}.jpg"))
+    return respond(request, Download((jpeg,), digest(jpeg), "image/jpeg", FRESH, f"{stream.id}.jpg"))
 
 
 @router.get(
@@ -232,8 +215,7 @@ async def camera_picture(stream: StreamOf, camera: str, request: Request) -> Res
     jpeg = stream.camera_pictures.get(camera)
     if jpeg is None:
         raise Problem(404, "there is no picture of this camera")
-    etag = hashlib.sha256(jpeg).hexdigest()[:32]
-    return respond(request, Download((jpeg,), etag, "image/jpeg", FRESH, f"{stream.id}.jpg"))
+    return respond(request, Download((jpeg,), digest(jpeg), "image/jpeg", FRESH, f"{stream.id}.jpg"))
 
 
 @router.get("/oembed", summary="How to show a page of this server in another")
