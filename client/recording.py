@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,10 +49,17 @@ def decode_frames(path: Path) -> Iterator[RecordedFrame]:
     Raises:
         InputError: the file cannot be opened, is cut or damaged; names it.
     """
+    with _opened(path) as reader:
+        yield from _decode(reader)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[PacketFile]:
+    """The packets of a whole file; InputError that names it where it cannot be opened, is cut or damaged."""
     try:
         with open_packets(path) as reader:
             require_whole(path, reader)
-            yield from _decode(reader)
+            yield reader
     except BitstreamError as error:
         raise InputError(path, f"is damaged: {error}") from error
 
@@ -102,14 +110,10 @@ def decode_version(path: Path, version: int) -> Scene:
     Raises:
         InputError: the file is cut or damaged, or does not reach the version.
     """
-    try:
-        with open_packets(path) as reader:
-            require_whole(path, reader)
-            decoder = SceneDecoder()
-            for number in reader.plan(version):
-                decoder.push(reader.read(number))
-    except BitstreamError as error:
-        raise InputError(path, f"is damaged: {error}") from error
+    decoder = SceneDecoder()
+    with _opened(path) as reader:
+        for number in reader.plan(version):
+            decoder.push(reader.read(number))
     if decoder.scene is None:
         raise InputError(path, "it holds no packet")
     return decoder.scene
@@ -117,12 +121,8 @@ def decode_version(path: Path, version: int) -> Scene:
 
 def versions(path: Path) -> tuple[int, ...]:
     """The versions that the file holds, ascending."""
-    try:
-        with open_packets(path) as reader:
-            require_whole(path, reader)
-            return tuple(sorted({entry.to_version for entry in reader.entries}))
-    except BitstreamError as error:
-        raise InputError(path, f"is damaged: {error}") from error
+    with _opened(path) as reader:
+        return tuple(sorted({entry.to_version for entry in reader.entries}))
 
 
 @dataclass(frozen=True, slots=True)
