@@ -18,10 +18,12 @@ MEGABYTE = 1_000_000
 _ORIGIN = re.compile(r"https?://[A-Za-z0-9.*-]+(:\d{1,5})?")
 
 
-class Limits(BaseModel):
-    """Limits on what one peer, one stream or the whole server may take."""
-
+class _Strict(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Limits(_Strict):
+    """Limits on what one peer, one stream or the whole server may take."""
 
     streams: int = Field(default=16, ge=1, description="streams at most")
     viewers: int = Field(default=1000, ge=1, description="viewers of all streams together")
@@ -69,10 +71,8 @@ class Limits(BaseModel):
         )
 
 
-class Retention(BaseModel):
+class Retention(_Strict):
     """The past that is kept, for seeking back and for downloads."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     memory_bytes: int = Field(default=32 * MEGABYTE, ge=MEGABYTE, description="packets of one stream kept in memory")
     seconds: float = Field(default=3600.0, gt=0, description="age at which recorded groups of pictures are deleted")
@@ -80,10 +80,8 @@ class Retention(BaseModel):
     reserve_fraction: float = Field(default=0.05, ge=0, lt=1, description="part of the disk that recording leaves free")
 
 
-class Webhook(BaseModel):
+class Webhook(_Strict):
     """A program that is told what happens, by POST (docs/protocol.md)."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     url: str = Field(pattern=r"^https?://[^/@\s]+(/\S*)?$", max_length=2000, description="where to")
     key: Path = Field(description="file with the secret that signs, of at least 32 characters")
@@ -91,10 +89,8 @@ class Webhook(BaseModel):
     streams: str = Field(default="*", description="ids of streams, as a shell pattern")
 
 
-class WorkerSettings(BaseModel):
+class WorkerSettings(_Strict):
     """How workers are watched."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     heartbeat_seconds: float = Field(
         default=30.0, gt=0, description="a worker silent for so long is killed and restarted"
@@ -118,10 +114,8 @@ class WorkerSettings(BaseModel):
     )
 
 
-class RaySettings(BaseModel):
+class RaySettings(_Strict):
     """Run workers on a Ray cluster."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     address: str = Field(
         default="auto", description="HOST:PORT of the cluster, of which this machine is a node; auto finds it"
@@ -130,10 +124,8 @@ class RaySettings(BaseModel):
     gpus: float = Field(default=0.0, ge=0, description="GPUs that a worker reserves: a part of one, or whole ones")
 
 
-class EdgeSettings(BaseModel):
+class EdgeSettings(_Strict):
     """Serve the streams of another server."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     origin: str = Field(description="address of that server; its token comes from STREAMLOD_TOKEN")
     streams: tuple[str, ...] = Field(default=(), description="which of its streams; all by default")
@@ -143,10 +135,8 @@ class EdgeSettings(BaseModel):
     poll_seconds: float = Field(default=2.0, gt=0, description="time between two looks at which streams there are")
 
 
-class JetStreamSettings(BaseModel):
+class JetStreamSettings(_Strict):
     """Share streams with other servers over NATS JetStream."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     servers: tuple[str, ...] = Field(default=("nats://127.0.0.1:4222",), description="addresses of NATS servers")
     prefix: str = Field(
@@ -161,10 +151,8 @@ class JetStreamSettings(BaseModel):
     )
 
 
-class Settings(BaseModel):
+class Settings(_Strict):
     """The whole configuration, from the command line or a TOML file of the same names."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     host: str = Field(default="127.0.0.1", description="address to listen on")
     port: int = Field(default=8000, ge=0, le=65535, description="port of REST, websocket and page; 0 picks a free one")

@@ -71,11 +71,7 @@ def _tracks(footage: Sequence[WalkFootage], board: Board) -> list[Track]:
     total = sum(-(-len(each.times) // picture_step(each)) for each in footage)
     pool = ThreadPoolExecutor(min(len(footage), os.cpu_count() or 1), "detect")
     with tqdm(total=total, unit="picture", desc="looking for the board") as bar, pool:
-        return list(pool.map(lambda each: track_of(each, board, lambda: _advance(bar)), footage))
-
-
-def _advance(bar: tqdm[None]) -> None:
-    bar.update()
+        return list(pool.map(lambda each: track_of(each, board, bar.update), footage))
 
 
 def _is_file(board: str | None) -> bool:

@@ -24,6 +24,7 @@ from streamlod.core.errors import InputError
 from streamlod.core.files import write_bytes
 
 _LOG = logging.getLogger(__name__)
+_STREAMLOD = sys.executable, "-m", "streamlod.server.cli"
 _POLL_SECONDS = 0.5
 _START_SECONDS = 120.0
 _TRAIN_SECONDS = 600.0
@@ -60,48 +61,20 @@ def run_demo(settings: DemoSettings) -> None:
     begin = time.monotonic()
     settings.out.mkdir(parents=True, exist_ok=True)
     clip, scene = settings.out / "clip", settings.out / "scene.slod"
-    _step(
-        "writing a synthetic clip",
-        "synth",
-        clip,
-        "--cameras",
-        settings.cameras,
-        "--frames",
-        settings.frames,
-        "--size",
-        settings.size,
-        "--overwrite",
-    )
+    size = f"--cameras {settings.cameras} --frames {settings.frames} --size {settings.size}"
+    _step("writing a synthetic clip", "synth", clip, *size.split(), "--overwrite")
     with _server(settings, clip) as base:
         live = base.replace("http", "ws", 1) + "/v1/streams/main/live"
         opened = settings.stay and open_page(base)
         _wait(base, "the first picture", lambda stream: stream["version"] is not None)
         first_picture = time.monotonic() - begin
         _LOG.info("first picture after %.0f s", first_picture)
-        _step(
-            "watching live, from a moving viewpoint",
-            "view",
-            live,
-            "--orbit",
-            "--frames",
-            settings.frames,
-            "--out",
-            settings.out / "orbit.mp4",
-        )
+        film = "--orbit", "--frames", settings.frames, "--out", settings.out / "orbit.mp4"
+        _step("watching live, from a moving viewpoint", "view", live, *film)
         stream = _wait(base, "the last frame", lambda stream: stream["state"] == "ended")
         _download(f"{base}/v1/streams/main/bitstream", scene)
-        _step(
-            "measuring the held-out camera",
-            "evaluate",
-            scene,
-            clip,
-            "--test",
-            "cam00",
-            "--json",
-            settings.out / "report.json",
-            "--save-images",
-            settings.out / "held-out",
-        )
+        files = "--json", settings.out / "report.json", "--save-images", settings.out / "held-out"
+        _step("measuring the held-out camera", "evaluate", scene, clip, "--test", "cam00", *files)
         summary = _summary(settings, scene, stream, first_picture, time.monotonic() - begin)
         (settings.out / "summary.md").write_text(summary)
         sys.stderr.write("\n" + summary)
@@ -150,8 +123,7 @@ def _summary(settings: DemoSettings, scene: Path, stream: dict[str, Any], first_
 
 def _step(what: str, *arguments: object) -> None:
     _LOG.info("%s", what)
-    command = [sys.executable, "-m", "streamlod.server.cli", *map(str, arguments)]
-    result = subprocess.run(command, check=False)
+    result = subprocess.run([*_STREAMLOD, *map(str, arguments)], check=False)
     if result.returncode:
         raise InputError(f"demo, {what}", f"`streamlod {' '.join(map(str, arguments))}` failed; its message is above")
 
@@ -160,24 +132,8 @@ def _step(what: str, *arguments: object) -> None:
 def _server(settings: DemoSettings, clip: Path) -> Iterator[str]:
     """A running `streamlod serve` over the clip; yields its address and stops it in the end."""
     log = (settings.out / "server.log").open("w")
-    command = [
-        sys.executable,
-        "-m",
-        "streamlod.server.cli",
-        "serve",
-        "--data",
-        str(clip),
-        "--views",
-        str(settings.views),
-        "--test",
-        "cam00",
-        "--host",
-        settings.host,
-        "--port",
-        str(settings.port),
-        "--state-dir",
-        str(settings.out / "state"),
-    ]
+    place = f"--views {settings.views} --test cam00 --host {settings.host} --port {settings.port}"
+    command = [*_STREAMLOD, "serve", "--data", str(clip), *place.split(), "--state-dir", str(settings.out / "state")]
     _LOG.info("starting the server")
     process = subprocess.Popen(command, stderr=log, stdout=log)
     base = f"http://{settings.host}:{settings.port}"

@@ -51,7 +51,7 @@ def board_as_seen(footage: Sequence[WalkFootage], board: Board) -> Board:
     return best
 
 
-def track_of(footage: WalkFootage, board: Board, on_picture: Callable[[], None] = lambda: None) -> Track:
+def track_of(footage: WalkFootage, board: Board, on_picture: Callable[[], object] = lambda: None) -> Track:
     """The corners that one camera saw.
 
     Args:
