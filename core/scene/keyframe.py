@@ -23,31 +23,14 @@ def as_keyframe(scene: Scene, version: int) -> Scene:
 
     Removed anchors are left out and the others sorted in Morton order. Latents are added to the base features and
     offsets, which are rounded to multiples of the header's steps, as coarse as the anchor's numbers were before.
-    Positions, scalings, header and weights stay. `keyframe_error` measures the rounding.
+    Positions, scalings, header and weights stay.
     """
     levels = tuple(_fresh(scene.header, scene.weights, level) for level in scene.levels)
     return replace(scene, levels=levels, keyframe=version, version=version, identifier=new_identifier())
 
 
-def keyframe_error(before: Scene, after: Scene) -> tuple[float, float]:
-    """Largest change of a feature and of an offset between a scene and the same scene as a keyframe, in their steps.
-
-    At most half of the multiple that the anchor is rounded to, unless a value left the range of int16.
-    """
-    feature_error = offset_error = 0.0
-    for old, new in zip(before.levels, after.levels, strict=True):
-        rows = _order(old)
-        feature, offset, _ = dequantise(before.header, before.weights, old, rows)
-        new_feature, new_offset, _ = dequantise(after.header, after.weights, new, np.arange(len(new)))
-        feature_change = np.abs(new_feature - feature) / before.header.feature_steps
-        offset_change = np.abs(new_offset - offset).reshape(len(rows), old.offset.shape[1]) / before.header.offset_steps
-        feature_error = max(feature_error, float(feature_change.max(initial=0)))
-        offset_error = max(offset_error, float(offset_change.max(initial=0)))
-    return feature_error, offset_error
-
-
 def _fresh(header: SceneHeader, weights: AnchorWeights, level: AnchorLevel) -> AnchorLevel:
-    rows = _order(level)
+    rows = living_rows(level)
     feature, offset, _ = dequantise(header, weights, level, rows)
     times = np.int64(1) << coarseness(level, rows)[:, None]
     return AnchorLevel(
@@ -62,7 +45,7 @@ def _fresh(header: SceneHeader, weights: AnchorWeights, level: AnchorLevel) -> A
     )
 
 
-def _order(level: AnchorLevel) -> Int64:
+def living_rows(level: AnchorLevel) -> Int64:
     """Rows of the living anchors in Morton order; anchors on one node keep their order."""
     alive = np.flatnonzero(level.alive)
     return alive[np.argsort(morton_key(level.voxel[alive]), kind="stable")]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from streamlod.core.arrays import Int16, Int32, Int64
+from streamlod.core.arrays import Int32, Int64
 
 DEFAULT_OFFSET = 0.34  # measured: docs/bitstream.md; 0.5 would be plain rounding
 
@@ -29,13 +29,6 @@ def dead_zone(values: NDArray[Any], offset: float = DEFAULT_OFFSET) -> Int32:
         raise ValueError("values to be quantised must be finite")
     magnitude = np.floor(np.abs(values) + offset)
     return np.asarray(np.copysign(np.minimum(magnitude, 2.0**30), values), np.float64).astype(np.int32)
-
-
-def saturate(state: Int16 | Int32, delta: Int32) -> Int32:
-    """`delta`, limited so that ``state + delta`` fits the type of `state`; decoders refuse an overflow."""
-    limits = np.iinfo(state.dtype)
-    total = np.clip(state.astype(np.int64) + delta, limits.min, limits.max)
-    return np.asarray(total - state, np.int32)
 
 
 def trailing_zeros(matrix: NDArray[Any], most: int) -> Int64:

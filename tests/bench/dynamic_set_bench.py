@@ -103,7 +103,7 @@ class Moved:
             now = surface_motion(self._clip.spec, index, camera) > _ANY
             self._so_far[number] |= now
             maps = torch.from_numpy(np.stack([np.ones_like(now), now, self._so_far[number]], axis=2)).float()
-            sums += coverage(whole, alive, alive[:0], camera, maps, "cpu")
+            sums += coverage(whole, alive, camera, maps)
         found = np.zeros((2, len(whole)), np.bool_)
         found[:, rows] = (sums[:, 1:] >= _PARTLY * sums[:, :1].clamp_min(1e-6)).numpy().T
         return found[0], found[1]

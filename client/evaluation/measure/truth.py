@@ -101,7 +101,7 @@ def shown_motion(
     for camera, truly in zip(cameras, filmed or cameras, strict=True):
         motion = torch.from_numpy(surface_motion(spec, index, truly))
         maps = torch.stack([torch.ones_like(motion), motion > _ANY, motion >= VISIBLE], dim=2).float()
-        sums += coverage(field, rows, rows[:0], camera, maps, "cpu")
+        sums += coverage(field, rows, camera, maps)
     shown = np.zeros((len(field), 3))
     shown[rows.numpy()] = sums.double().numpy()
     return shown[:, 0], shown[:, 1], shown[:, 2]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -18,29 +19,28 @@ _SUN = np.array([-420.0, -500.0, 760.0])
 
 
 def _still(generator: np.random.Generator) -> list[Part]:
-    seeds = iter(generator.integers(0, 1 << 20, 120).tolist())
+    draw = iter(generator.integers(0, 1 << 20, 120).tolist()).__next__
     parts = [
-        Part(SKY, (1.0, 1.0, 1.0), np.zeros(3), T.HEAVEN, seed=next(seeds)),
-        box((0, 29, -0.5), (45, 31, 0.5), T.GRASS, (0.24, 0.40, 0.14), seed=next(seeds), gloss=0.0),
-        box((1.9, 9.0, 0.004), (0.55, 9.0, 0.004), T.PLAIN, (0.62, 0.58, 0.52), seed=next(seeds), gloss=0.0),
+        Part(SKY, (1.0, 1.0, 1.0), np.zeros(3), T.HEAVEN, seed=draw()),
+        box((0, 29, -0.5), (45, 31, 0.5), T.GRASS, (0.24, 0.40, 0.14), seed=draw(), gloss=0.0),
+        box((1.9, 9.0, 0.004), (0.55, 9.0, 0.004), T.PLAIN, (0.62, 0.58, 0.52), seed=draw(), gloss=0.0),
     ]
     for x, radius, height in ((-34.0, 26.0, 9.0), (4.0, 30.0, 6.5), (40.0, 28.0, 10.5)):
         hill = (0.36, 0.47, 0.34)
-        parts.append(ball((x, 62.0, 0.0), (radius, 6.0, height), T.FOLIAGE, hill, seed=next(seeds), gloss=0.0))
+        parts.append(ball((x, 62.0, 0.0), (radius, 6.0, height), T.FOLIAGE, hill, seed=draw(), gloss=0.0))
     for x, y, height in _TREES:
-        parts += _tree(x, y, height, seeds, generator)
-    parts += _house((-4.0, 22.0, 0.0), 1.0, T.BRICK, (0.62, 0.38, 0.30), seeds)
-    parts += _house((10.5, 34.0, 0.0), 1.25, T.SMOOTH, (0.90, 0.88, 0.80), seeds)
+        parts += _tree(x, y, height, draw, generator)
+    parts += _house((-4.0, 22.0, 0.0), 1.0, T.BRICK, (0.62, 0.38, 0.30), draw)
+    parts += _house((10.5, 34.0, 0.0), 1.25, T.SMOOTH, (0.90, 0.88, 0.80), draw)
     for k in range(22):  # a fence
         x = -6.6 + 0.34 * k
-        parts.append(box((x, 9.6, 0.5), (0.06, 0.02, 0.5), T.WOOD, (0.62, 0.48, 0.34), seed=next(seeds), gloss=0.0))
-    parts.append(box((-3.0, 9.64, 0.72), (3.7, 0.02, 0.05), T.WOOD, (0.55, 0.42, 0.30), seed=next(seeds), gloss=0.0))
-    parts += _near(seeds)
+        parts.append(box((x, 9.6, 0.5), (0.06, 0.02, 0.5), T.WOOD, (0.62, 0.48, 0.34), seed=draw(), gloss=0.0))
+    parts.append(box((-3.0, 9.64, 0.72), (3.7, 0.02, 0.05), T.WOOD, (0.55, 0.42, 0.30), seed=draw(), gloss=0.0))
+    parts += _near(draw)
     return parts
 
 
-def _tree(x: float, y: float, height: float, seeds: object, generator: np.random.Generator) -> list[Part]:
-    draw = seeds.__next__  # type: ignore[attr-defined]
+def _tree(x: float, y: float, height: float, draw: Callable[[], int], generator: np.random.Generator) -> list[Part]:
     bark, leaf = (0.34, 0.25, 0.18), (0.20 + float(generator.uniform(0, 0.12)), 0.36, 0.12)
     trunk = 0.05 * height
     parts = [tube((x, y, 0.3 * height), trunk, 0.3 * height, T.WOOD, bark, seed=draw(), gloss=0.0)]
@@ -52,9 +52,8 @@ def _tree(x: float, y: float, height: float, seeds: object, generator: np.random
     return parts
 
 
-def _house(place: Vector, size: float, walls: int, tint: Vector, seeds: object) -> list[Part]:
+def _house(place: Vector, size: float, walls: int, tint: Vector, draw: Callable[[], int]) -> list[Part]:
     """Walls, a gabled roof of two slabs, a door and four windows on the side that faces the cameras."""
-    draw = seeds.__next__  # type: ignore[attr-defined]
     wide, deep, high = 3.2 * size, 2.6 * size, 1.6 * size
     parts = [box((0, 0, high), (wide, deep, high), walls, tint, seed=draw(), gloss=0.0)]
     for side in (-1, 1):
@@ -74,9 +73,8 @@ def _house(place: Vector, size: float, walls: int, tint: Vector, seeds: object) 
     return shifted(parts, place)
 
 
-def _near(seeds: object) -> list[Part]:
+def _near(draw: Callable[[], int]) -> list[Part]:
     """Things close to the cameras: a bench, stones, two bushes, a post with a letter box."""
-    draw = seeds.__next__  # type: ignore[attr-defined]
     parts = [
         box((-1.7, 5.2, 0.46), (0.75, 0.20, 0.025), T.WOOD, (0.58, 0.40, 0.26), seed=draw()),
         box((-1.7, 5.42, 0.76), (0.75, 0.02, 0.16), T.WOOD, (0.58, 0.40, 0.26), seed=draw()),

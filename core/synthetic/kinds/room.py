@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -20,24 +21,23 @@ _OAK, _WALNUT, _WHITE, _STEEL = (0.72, 0.52, 0.32), (0.40, 0.24, 0.15), (0.90, 0
 
 def _still(generator: np.random.Generator) -> list[Part]:
     """Everything that never moves; `generator` varies tints, leaves and texture seeds."""
-    seeds = iter(generator.integers(0, 1 << 20, 200).tolist())
+    draw = iter(generator.integers(0, 1 << 20, 200).tolist()).__next__
     parts = [
-        Part(ROOM, _HALF, np.array(_MIDDLE), T.WALLS, _WHITE, seed=next(seeds)),
-        box((0, 2.05, 0.006), (1.25, 0.95, 0.006), T.RUG, (0.60, 0.16, 0.16), seed=next(seeds), gloss=0.0),
-        box((0, _BACK - 0.012, 0.05), (_HALF[0], 0.012, 0.05), T.PLAIN, _WHITE, seed=next(seeds)),
-        box((-_HALF[0] + 0.012, 0.85, 0.05), (0.012, _HALF[1], 0.05), T.PLAIN, _WHITE, seed=next(seeds)),
-        box((_HALF[0] - 0.012, 0.85, 0.05), (0.012, _HALF[1], 0.05), T.PLAIN, _WHITE, seed=next(seeds)),
+        Part(ROOM, _HALF, np.array(_MIDDLE), T.WALLS, _WHITE, seed=draw()),
+        box((0, 2.05, 0.006), (1.25, 0.95, 0.006), T.RUG, (0.60, 0.16, 0.16), seed=draw(), gloss=0.0),
+        box((0, _BACK - 0.012, 0.05), (_HALF[0], 0.012, 0.05), T.PLAIN, _WHITE, seed=draw()),
+        box((-_HALF[0] + 0.012, 0.85, 0.05), (0.012, _HALF[1], 0.05), T.PLAIN, _WHITE, seed=draw()),
+        box((_HALF[0] - 0.012, 0.85, 0.05), (0.012, _HALF[1], 0.05), T.PLAIN, _WHITE, seed=draw()),
     ]
     hue = generator.uniform(-0.04, 0.04)
-    parts += _sofa((0.22 + hue, 0.36, 0.46 - hue), seeds)
-    parts += _table(seeds) + _shelf(seeds) + _walls(seeds) + _corner(seeds, generator) + _toys(seeds)
-    parts.append(ball((0.35, 1.35, 2.36), (0.13, 0.13, 0.13), T.GLOW, (1.0, 0.95, 0.85), seed=next(seeds)))
+    parts += _sofa((0.22 + hue, 0.36, 0.46 - hue), draw)
+    parts += _table(draw) + _shelf(draw) + _walls(draw) + _corner(draw, generator) + _toys(draw)
+    parts.append(ball((0.35, 1.35, 2.36), (0.13, 0.13, 0.13), T.GLOW, (1.0, 0.95, 0.85), seed=draw()))
     parts.append(limb(np.array([0.35, 1.35, 2.48]), np.array([0.3501, 1.35, 2.70]), 0.012, T.PLAIN, (0.2, 0.2, 0.2)))
     return parts
 
 
-def _sofa(tint: tuple[float, float, float], seeds: object) -> list[Part]:
-    draw = seeds.__next__  # type: ignore[attr-defined]
+def _sofa(tint: tuple[float, float, float], draw: Callable[[], int]) -> list[Part]:
     x, y = -0.35, 3.35
     parts = [
         box((x, y, 0.22), (1.0, 0.42, 0.17), T.FABRIC, tint, seed=draw()),
@@ -52,8 +52,7 @@ def _sofa(tint: tuple[float, float, float], seeds: object) -> list[Part]:
     return parts
 
 
-def _table(seeds: object) -> list[Part]:
-    draw = seeds.__next__  # type: ignore[attr-defined]
+def _table(draw: Callable[[], int]) -> list[Part]:
     x, y = -1.15, 2.05
     parts = [tube((x, y, 0.44), 0.50, 0.02, T.WOOD, _WALNUT, seed=draw(), gloss=0.10, mirror=0.10)]
     for k in range(3):
@@ -72,8 +71,7 @@ def _table(seeds: object) -> list[Part]:
     return parts
 
 
-def _shelf(seeds: object) -> list[Part]:
-    draw = seeds.__next__  # type: ignore[attr-defined]
+def _shelf(draw: Callable[[], int]) -> list[Part]:
     x, y, half = -2.25, _BACK - 0.17, 0.52
     parts = [box((x, _BACK - 0.02, 0.98), (half, 0.012, 0.95), T.WOOD, _WALNUT, seed=draw())]
     for side in (-1, 1):
@@ -92,8 +90,7 @@ def _shelf(seeds: object) -> list[Part]:
     return parts
 
 
-def _walls(seeds: object) -> list[Part]:
-    draw = seeds.__next__  # type: ignore[attr-defined]
+def _walls(draw: Callable[[], int]) -> list[Part]:
     parts = []
     moods = ((0.85, 0.70, 0.45), (0.40, 0.62, 0.72), (0.75, 0.55, 0.60))
     for (x, z, w, h), mood in zip(
@@ -112,9 +109,8 @@ def _walls(seeds: object) -> list[Part]:
     return parts
 
 
-def _corner(seeds: object, generator: np.random.Generator) -> list[Part]:
+def _corner(draw: Callable[[], int], generator: np.random.Generator) -> list[Part]:
     """Side table, floor lamp and plant on the right."""
-    draw = seeds.__next__  # type: ignore[attr-defined]
     parts = [box((1.75, 3.15, 0.55), (0.27, 0.27, 0.018), T.WOOD, _OAK, seed=draw(), gloss=0.05)]
     for sx, sy in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
         place = (1.75 + 0.23 * sx, 3.15 + 0.23 * sy, 0.266)
@@ -139,8 +135,7 @@ def _corner(seeds: object, generator: np.random.Generator) -> list[Part]:
     return parts
 
 
-def _toys(seeds: object) -> list[Part]:
-    draw = seeds.__next__  # type: ignore[attr-defined]
+def _toys(draw: Callable[[], int]) -> list[Part]:
     blocks = (
         (1.62, 1.62, 0.13, 0.13, 0.3, (0.80, 0.22, 0.18)),
         (1.93, 1.80, 0.13, 0.13, -0.2, (0.16, 0.44, 0.72)),

@@ -8,10 +8,28 @@ import numpy as np
 
 from streamlod.codec.decoder import SceneDecoder
 from streamlod.codec.encoder import encode_keyframe
-from streamlod.core.scene.expand import expand
-from streamlod.core.scene.keyframe import as_keyframe, keyframe_error
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.expand import dequantise, expand
+from streamlod.core.scene.keyframe import as_keyframe, living_rows
 from streamlod.core.scene.octree import morton_key
 from tests.codec.scenes import assert_same_state, grow, make_scene, move
+
+
+def keyframe_error(before: Scene, after: Scene) -> tuple[float, float]:
+    """Largest change of a feature and of an offset between a scene and the same scene as a keyframe, in their steps.
+
+    At most half of the multiple that the anchor is rounded to, unless a value left the range of int16.
+    """
+    feature_error = offset_error = 0.0
+    for old, new in zip(before.levels, after.levels, strict=True):
+        rows = living_rows(old)
+        feature, offset, _ = dequantise(before.header, before.weights, old, rows)
+        new_feature, new_offset, _ = dequantise(after.header, after.weights, new, np.arange(len(new)))
+        feature_change = np.abs(new_feature - feature) / before.header.feature_steps
+        offset_change = np.abs(new_offset - offset).reshape(len(rows), old.offset.shape[1]) / before.header.offset_steps
+        feature_error = max(feature_error, float(feature_change.max(initial=0)))
+        offset_error = max(offset_error, float(offset_change.max(initial=0)))
+    return feature_error, offset_error
 
 
 def test_a_late_state_becomes_a_keyframe() -> None:

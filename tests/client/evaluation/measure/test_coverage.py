@@ -19,11 +19,8 @@ def test_areas_shown_add_up_to_what_is_opaque() -> None:
     maps = torch.zeros(CAMERA.height, CAMERA.width, 2)
     maps[..., 0] = 1
     maps[:, :32, 1] = 1
-    shown = coverage(field, rows, rows[:0], CAMERA, maps, "cpu")
+    shown = coverage(field, rows, CAMERA, maps)
     assert shown.shape == (len(field), 2)
     assert (shown >= -1e-4).all()
     assert (shown[:, 1] <= shown[:, 0] + 1e-4).all()
     assert 0 < shown[:, 0].sum() <= CAMERA.width * CAMERA.height + 1
-    half = len(field) // 2
-    asked = coverage(field, rows[:half], rows[half:], CAMERA, maps, "cpu")
-    torch.testing.assert_close(asked, shown[:half], atol=1e-3, rtol=1e-3)
