@@ -99,7 +99,7 @@ def read_poses(path: Path, header: SceneHeader) -> CameraPath:
 
 
 def _read_json(path: Path, most: int) -> Any:
-    """What a file of at most `most` bytes says; InputError where it says nothing."""
+    """The JSON value in a file of at most `most` bytes; InputError where there is none."""
     try:
         if path.stat().st_size > most:
             raise InputError(path, f"is larger than {most // 1_000_000} MB")
