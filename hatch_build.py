@@ -12,7 +12,7 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 PAGE = Path("streamlod/client/web")
-SERVED = {".js", ".css", ".html", ".svg", ".wasm"}
+SERVED = {".js", ".css", ".html", ".svg", ".wasm", ".wgsl"}
 
 
 class BuildPage(BuildHookInterface):  # type: ignore[type-arg]

@@ -20,14 +20,14 @@ TOP_FOLDERS = "core|codec|client|server|tests|docs|docker|examples"
 CODE = sorted(
     name
     for name in FILES - MADE_UP
-    if name.endswith((".py", ".js", ".mjs", ".wat", ".toml")) and name != "tests/test_citations.py"
+    if name.endswith((".py", ".js", ".mjs", ".wat", ".wgsl", ".toml")) and name != "tests/test_citations.py"
 )
 DOCUMENTS = sorted(name for name in FILES if name.endswith(".md"))
 BUILT = {"kernel.wasm", "main.js.br", "main.js.gz"}  # made from tracked files
 
 PATH = re.compile(rf"(?<![\w/.:*-])(?:{TOP_FOLDERS})/[\w./-]*[\w/]")
 MODULE = re.compile(rf"`+((?:{TOP_FOLDERS})(?:\.\w+)+)`+|python -m (tests(?:\.\w+)+)")
-QUOTED_FILE = re.compile(r"`([\w-]+\.(?:py|js|mjs|wat|css|html))`")
+QUOTED_FILE = re.compile(r"`([\w-]+\.(?:py|js|mjs|wat|wgsl|css|html))`")
 LINK = re.compile(r"(?<!!)\[[^\]]*\]\(([^)\s]+)\)|!\[[^\]]*\]\(([^)\s]+)\)")
 HEADING = re.compile(r"^#{1,6} +(.*?)\s*#*$", re.MULTILINE)
 # A numbered section, always after the name of its document: "FORMAT.md section 6.2", "RFC 6455 section 5.5".

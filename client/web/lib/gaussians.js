@@ -21,6 +21,7 @@ export class Gaussians {
     this.fresh = true; // nothing of this scene was expanded yet
     this.active = new Uint32Array(0); // numbers of the Gaussians to draw
     this.activeCount = 0;
+    this.collected = 0; // times that they may have changed
     this.visible = 0; // bit mask of levels in `active`
     /** @type {Vec3} */
     this.expandedFrom = [Infinity, 0, 0];
@@ -126,6 +127,7 @@ export class Gaussians {
       }
     });
     this.activeCount = count;
+    this.collected++;
   }
 }
 

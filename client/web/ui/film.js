@@ -60,7 +60,7 @@ async function draw(viewer, timeline, path, { width, height, fps, count, goesOn 
     await comes;
     [canvas.width, canvas.height] = [width, height];
     viewer.renderer.draw({ ...viewer.view(), share: 1 });
-    pictures.push(await new Promise((resolve, reject) => canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("a picture of the film could not be kept"))), "image/webp", 0.95)));
+    pictures.push(await new Promise((resolve, reject) => viewer.renderer.canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("a picture of the film could not be kept"))), "image/webp", 0.95)));
     tell((i + 1) / count);
   }
   return pictures;

@@ -18,6 +18,7 @@ import { backgroundItems, colourOf } from "./background.js";
 import { attachDrop } from "./drop.js";
 import { Timeline } from "./timeline.js";
 import { Together } from "./together.js";
+import { drawHere } from "../view/drawing.js";
 import { Viewer } from "../view/viewer.js";
 
 const MOVING = ["live", "behind", "replay"]; // phases in which the picture may move by itself
@@ -37,7 +38,7 @@ document.body.classList.toggle("bare", options.get("ui") === "0");
 /** @returns {Promise<Viewer | null>} drawn here if that can be, else by the server */
 async function createViewer() {
   try {
-    if (options.get("thin") !== "1" || recording) return new Viewer(canvas);
+    if (options.get("thin") !== "1" || recording) return new Viewer(canvas, await drawHere(canvas, options.get("webgpu")));
   } catch {
     if (recording) return cannotDraw();
   }
@@ -140,7 +141,8 @@ async function start(viewer) {
     const far = viewer.presenting ? 0 : viewer.outside;
     if (far === lastOutside) return;
     lastOutside = far;
-    canvas.style.filter = far > 0 ? `blur(${(MAX_BLUR_PX * far).toFixed(1)}px)` : ""; // what nobody filmed, in the scene's own colours
+    const filter = far > 0 ? `blur(${(MAX_BLUR_PX * far).toFixed(1)}px)` : ""; // what nobody filmed, in the scene's own colours
+    for (const part of [canvas, viewer.renderer.canvas]) part.style.filter = filter;
     button("b-back").hidden = far < BACK_AT;
   });
   button("b-back").onclick = () => goHome();

@@ -29,7 +29,7 @@ export class Rates {
 
 /** @param {HTMLElement} list @param {import("../view/viewer.js").Viewer} viewer @param {Rates} rates @param {number | null} delaySeconds - from camera to screen */
 export function fillStatistics(list, viewer, rates, delaySeconds) {
-  const { picture, status, canvas } = viewer;
+  const { picture, status, canvas, renderer } = viewer;
   const { fps, kilobits } = rates.now();
   /** @type {(value: number | undefined, unit: string, digits?: number) => string} */
   const number = (value, unit, digits = 1) => (value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`);
@@ -48,7 +48,7 @@ export function fillStatistics(list, viewer, rates, delaySeconds) {
     Sort: number(picture?.sortMs, "ms"),
     Skipped: String(status?.skipped ?? 0),
     ...(picture?.drawn ? { Picture: `${picture.drawn.width} × ${picture.drawn.height}, JPEG ${picture.drawn.quality}` } : {}),
-    Canvas: `${canvas.width} × ${canvas.height}`,
+    Canvas: `${canvas.width} × ${canvas.height}, ${renderer.api}`,
   };
   list.replaceChildren(...Object.entries(rows).flatMap(([name, value]) => [
     Object.assign(document.createElement("dt"), { textContent: name }), Object.assign(document.createElement("dd"), { textContent: value }),

@@ -2,7 +2,7 @@
 
 import { RECORD, ROW_SPLATS } from "../decode/expand.js";
 import { Gaussians } from "../lib/gaussians.js";
-import { distanceTo } from "./camera.js";
+import { nearRadius } from "./limits.js";
 import { DepthSort } from "./sort.js";
 import { anchorCount, versionOf } from "../decode/scene.js";
 
@@ -13,6 +13,7 @@ import { anchorCount, versionOf } from "../decode/scene.js";
  * @property {Vec3} position
  * @property {number[]} rotation - 9 numbers, world to camera
  * @property {number} levels - levels wanted, coarse ones first
+ * @property {boolean} [unsorted] - the renderer sorts by itself
  */
 
 /**
@@ -21,7 +22,7 @@ import { anchorCount, versionOf } from "../decode/scene.js";
  * @property {number} generation - grows when the texture must be made anew, as with each keyframe
  * @property {number} rows - of the texture
  * @property {{ first: number, data: Uint32Array }[]} spans - texture rows that changed
- * @property {Uint32Array} order - splat numbers, far ones first
+ * @property {Uint32Array | null} order - splat numbers, far ones first; unsorted, null where they are those of the picture before
  * @property {number} splats
  * @property {number} [anchors] - alive
  * @property {number} version
@@ -30,7 +31,6 @@ import { anchorCount, versionOf } from "../decode/scene.js";
  * @property {number} sortMs
  */
 
-const NEAR_SHARE = 0.15; // of the distance to the nearest camera
 const ROW_NUMBERS = ROW_SPLATS * RECORD;
 const JOIN = 2; // texture rows between two spans that are sent along rather than sent apart
 
@@ -41,6 +41,7 @@ export class Engine extends Gaussians {
     this.sorter = new DepthSort();
     this.generation = 0;
     this.capacity = 0;
+    this.told = 0; // times that `active` had changed when it was told
   }
 
   /** Decode one packet. @param {Uint8Array} bytes @returns {import("../decode/decoder.js").Effect} */
@@ -62,9 +63,9 @@ export class Engine extends Gaussians {
     this.update(view.position, view.levels);
     const spans = this.#spans();
     const sorted = performance.now();
-    const order = this.#order(view);
+    const order = view.unsorted ? this.#changed() : this.#order(view);
     return {
-      generation: this.generation, rows: this.capacity, spans, order, splats: order.length, anchors: anchorCount(scene), version: versionOf(scene),
+      generation: this.generation, rows: this.capacity, spans, order, splats: order?.length ?? this.activeCount, anchors: anchorCount(scene), version: versionOf(scene),
       missing: Math.clz32(this.visible) - Math.clz32((1 << scene.levels.length) - 1),
       expandMs: sorted - start, sortMs: performance.now() - sorted,
     };
@@ -92,13 +93,19 @@ export class Engine extends Gaussians {
 
   /** After the graphics card lost the texture. */
   forgetTexture() {
-    this.capacity = 0;
+    this.capacity = this.told = 0;
   }
 
-  /** Nothing is drawn within this distance of there (`near_radius` in core/scene/expand.py). @param {Vec3} position */
+  /** @param {Vec3} position */
   #near(position) {
-    const away = this.scene?.header.cameras.map((camera) => distanceTo(position, camera));
-    return away?.length ? NEAR_SHARE * Math.min(...away) : 0;
+    return nearRadius(position, this.scene?.header.cameras ?? []);
+  }
+
+  /** The splats worth drawing, level by level; null where they were told already. */
+  #changed() {
+    if (this.told === this.collected) return null;
+    this.told = this.collected;
+    return this.active.slice(0, this.activeCount);
   }
 
   /** @param {EngineView} view */

@@ -1,6 +1,6 @@
 /** The space that the rig has seen, which viewers stay in. */
 
-import { add, between, dot, fromCamera, unit } from "./camera.js";
+import { add, between, distanceTo, dot, fromCamera, unit } from "./camera.js";
 
 /** @typedef {import("./camera.js").Vec3} Vec3 */
 /** @typedef {import("./camera.js").Pose} Pose */
@@ -13,6 +13,7 @@ import { add, between, dot, fromCamera, unit } from "./camera.js";
  */
 
 const FREE_RADII = 1.5, MAX_RADII = 4; // as far away as the rig, times this: where the picture begins to fade, and the farthest one can go
+const NEAR_SHARE = 0.15; // of the distance to the nearest camera
 const FREE_COSINE = Math.cos(0.7), GONE_COSINE = Math.cos(1.5); // between the view's side and the nearest camera's
 
 /** @type {(cameras: import("./camera.js").RigCamera[], middle: Vec3) => SeenSpace} */
@@ -20,6 +21,9 @@ export function seenSpace(cameras, middle) {
   const away = cameras.map((camera) => add(fromCamera(camera, 1).position, middle, -1));
   return { middle, radius: Math.max(1e-6, ...away.map((v) => Math.hypot(...v))), directions: away.map(unit) };
 }
+
+/** Nothing is drawn within this distance of there (`near_radius` in core/scene/expand.py). @type {(position: Vec3, cameras: import("./camera.js").RigCamera[]) => number} */
+export const nearRadius = (position, cameras) => (cameras.length ? NEAR_SHARE * Math.min(...cameras.map((camera) => distanceTo(position, camera))) : 0);
 
 /** The widest angle between the middle of the cameras' directions and one of them, radians. @type {(space: SeenSpace) => number} */
 export function spread({ directions }) {

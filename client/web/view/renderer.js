@@ -7,14 +7,14 @@
 
 import { RECORD, ROW_SPLATS } from "../decode/expand.js";
 import { NEUTRAL } from "./exposure.js";
+import { MAX_KEEP, MIN_KEEP, Surface } from "./surface.js";
 
-const MAX_KEEP = 1.5; // times the share, in the middle and near; at most all
-const MIN_KEEP = 0.03; // a share below would make splats too large to tell anything apart
+/** @typedef {import("./surface.js").View} View */
+
 const TEXELS = RECORD / 4; // RGBA texels a splat
 const WIDTH = ROW_SPLATS * TEXELS;
 const ORDER_WIDTH = 1024; // texels of the texture with the order
 const RUN = 16_384; // quads that one drawElements draws: their vertices are numbered by 16 bits
-const SPREAD = 2; // area that coarser splats cover for each level that is missing
 
 const VERTEX = `#version 300 es
 precision highp usampler2D;
@@ -83,17 +83,6 @@ void main() {
   ${isDeep ? "depth = vec4(nearness * alpha, 0, 0, alpha);" : ""}
 }`;
 
-/**
- * @typedef {object} View
- * @property {ArrayLike<number>} rotation - 9 numbers, row by row, world to camera
- * @property {ArrayLike<number>} translation - 3
- * @property {[number, number]} focal - pixels
- * @property {[number, number]} principal - pixels
- * @property {number} [share] - as in the shader
- * @property {number} [range]
- * @property {import("./exposure.js").Exposure} [exposure] - neutral where none is given
- */
-
 /** 0 to 1: multiples of the golden ratio, so that of any range of splats, and so at any place, a share has ranks below it. @type {(splat: number) => number} */
 const rankOf = (splat) => (Math.imul(splat, 0x9e3779b9) >>> 8) / 0x1000000;
 
@@ -118,7 +107,7 @@ export function link(gl, vertex, fragment) {
 
 /** A part of a framebuffer, pixels; `isDeep`: its second colour is how near things are, weighted by their opacity, and that. @typedef {{ framebuffer: WebGLFramebuffer | null, x: number, y: number, width: number, height: number, isSeeThrough?: boolean, isDeep?: boolean }} Target */
 
-export class Renderer {
+export class Renderer extends Surface {
   /**
    * @param {HTMLCanvasElement} canvas
    * @throws {Error} where WebGL2 is missing
@@ -126,7 +115,11 @@ export class Renderer {
   constructor(canvas) {
     const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, depth: false, powerPreference: "high-performance" });
     if (!gl) throw new Error("no WebGL2");
+    super(canvas);
+    this.api = "WebGL2";
     this.gl = gl;
+    const info = gl.getExtension("WEBGL_debug_renderer_info");
+    this.hardware = String(gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER) ?? "");
     this.program = link(gl, VERTEX, fragment(false));
     /** @type {WebGLProgram | null} made when it is first asked for */
     this.deep = null;
@@ -138,17 +131,10 @@ export class Renderer {
     this.placeRows = 0;
     this.source = gl.createFramebuffer(); // to copy from
     this.rows = 0;
-    this.movesFrom = this.movesFor = 0; // ms: since when it moves on from there, and for how long
-    this.moved = 1; // share of the way that is drawn
     /** @type {Uint32Array} */
     this.order = new Uint32Array(0);
     this.uploaded = 1; // share of it that the graphics card has
     this.count = 0;
-    this.missing = 0; // finest levels of the scene that are not there
-    /** @type {[number, number, number]} */
-    this.background = [0, 0, 0];
-    /** @type {[number, number, number] | null} shown instead of it */
-    this.backdrop = null;
     for (const [i, texture] of [this.before, this.places, this.texture].entries()) {
       gl.activeTexture(gl.TEXTURE0 + i);
       gl.bindTexture(gl.TEXTURE_2D, texture);
@@ -169,24 +155,10 @@ export class Renderer {
     return this.gl.isContextLost();
   }
 
-  /** Name of the graphics hardware, "" where the browser hides it. */
-  get hardware() {
-    const info = this.gl.getExtension("WEBGL_debug_renderer_info");
-    return String(this.gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : this.gl.RENDERER) ?? "");
-  }
-
-  /**
-   * Take new texture rows; a scene of another size starts afresh.
-   * @param {number} rows - of the whole scene
-   * @param {{ first: number, data: Uint32Array }[]} spans - `first` row and whole rows of splats
-   * @param {number | null} [overMs] - to move on from the state before; null: it is the same state
-   */
+  /** @type {Surface["update"]} */
   update(rows, spans, overMs = null) {
     const { gl } = this;
-    if (overMs !== null) {
-      this.movesFrom = performance.now();
-      this.movesFor = overMs;
-    }
+    if (overMs !== null) this.begin(overMs);
     if (overMs && this.rows) {
       gl.bindFramebuffer(gl.FRAMEBUFFER, this.source);
       gl.activeTexture(gl.TEXTURE0);
@@ -204,13 +176,12 @@ export class Renderer {
     }
   }
 
-  /** Give the texture back before a scene that may be smaller. */
   clear() {
     this.rows = 0;
     this.setOrder(new Uint32Array(0));
   }
 
-  /** The order to draw in. @param {Uint32Array} order - splat numbers, far ones first */
+  /** @param {Uint32Array} order */
   setOrder(order) {
     this.order = order;
     this.uploaded = -1;
@@ -235,17 +206,15 @@ export class Renderer {
   /** @param {View} view @param {Target} [target] - the canvas where none is given */
   draw(view, target) {
     const { gl } = this, { framebuffer, x, y, width, height } = target ?? { framebuffer: null, x: 0, y: 0, width: gl.canvas.width, height: gl.canvas.height };
-    const exposure = view.exposure ?? NEUTRAL, exposed = (/** @type {number} */ i) => exposure[i] * this.background[i] + exposure[i + 3];
+    const exposure = view.exposure ?? NEUTRAL;
     gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
     gl.viewport(x, y, width, height);
     gl.scissor(x, y, width, height);
     gl.enable(gl.BLEND);
-    const behind = this.backdrop ?? [exposed(0), exposed(1), exposed(2)];
-    gl.clearBufferfv(gl.COLOR, 0, target?.isSeeThrough ? [0, 0, 0, 0] : [...behind, 1]);
+    gl.clearBufferfv(gl.COLOR, 0, target?.isSeeThrough ? [0, 0, 0, 0] : [...this.behind(view), 1]);
     if (target?.isDeep) gl.clearBufferfv(gl.COLOR, 1, [0, 0, 0, 0]);
     if (this.uploaded !== (view.share ?? 1)) this.#upload(view.share ?? 1);
-    const age = performance.now() - this.movesFrom;
-    this.moved = age < this.movesFor ? age / this.movesFor : 1;
+    this.advance();
     if (!this.count) return;
     const program = target?.isDeep ? (this.deep ??= link(gl, VERTEX, fragment(true))) : this.program;
     const at = (/** @type {string} */ name) => gl.getUniformLocation(program, name);
@@ -260,7 +229,7 @@ export class Renderer {
     gl.uniform1f(at("range"), view.range ?? 1);
     gl.uniform3fv(at("gain"), exposure.slice(0, 3));
     gl.uniform3fv(at("lift"), exposure.slice(3));
-    gl.uniform1f(at("spread"), SPREAD ** this.missing);
+    gl.uniform1f(at("spread"), this.spread);
     for (const [i, name] of ["before", "order", "splats"].entries()) gl.uniform1i(at(name), i);
     gl.uniform1f(at("moved"), this.moved);
     const firstAt = at("first");
@@ -270,7 +239,6 @@ export class Renderer {
     }
   }
 
-  /** Free everything on the graphics card. */
   destroy() {
     const { gl } = this;
     gl.deleteTexture(this.texture);

@@ -7,9 +7,10 @@
 import { heard, nameOf } from "../stream/heard.js";
 import { Link } from "../stream/link.js";
 import { centre } from "./camera.js";
+import { Surface } from "./surface.js";
 
 /** @typedef {import("./messages.js").FromWorker} FromWorker */
-/** @typedef {import("./renderer.js").View} View */
+/** @typedef {import("./surface.js").View} View */
 
 const HEADER_BYTES = 24;
 const VIEW_MS = 50; // between two views that are told
@@ -21,31 +22,21 @@ export function createThin(canvas) {
   return { renderer: new Screen(canvas, link), worker: link };
 }
 
-/** Shows the newest picture; has what the page needs of a renderer. */
-export class Screen {
+/** Shows the newest picture. The background that a viewer chose has no effect: the server draws. */
+export class Screen extends Surface {
   /** @param {HTMLCanvasElement} canvas @param {ThinLink} link */
   constructor(canvas, link) {
+    super(canvas);
     const context = canvas.getContext("2d", { alpha: false });
     if (!context) throw new Error("no canvas");
+    this.api = this.hardware = "server";
     this.context = context;
     this.link = link;
-    this.hardware = "server";
-    this.isLost = false;
-    /** @type {[number, number, number]} */
-    this.background = [0, 0, 0];
-    /** @type {[number, number, number] | null} of no effect: the server draws */
-    this.backdrop = null;
-    this.missing = this.movesFor = 0;
-    this.moved = 1;
   }
-
-  update() {}
-  setOrder() {}
-  clear() {}
 
   /** @param {View} view */
   draw(view) {
-    const { context, link } = this, { width, height } = context.canvas;
+    const { context, link } = this, { width, height } = this.canvas;
     context.fillStyle = `rgb(${this.background.map((x) => Math.round(255 * x)).join(" ")})`;
     context.fillRect(0, 0, width, height);
     if (link.bitmap) context.drawImage(link.bitmap, 0, 0, width, height);
@@ -196,7 +187,7 @@ export class ThinLink extends Link {
       if (this.stopAt && session.status.mode === "live" && version >= this.stopAt.version) this.#command({ type: "pause" });
       const drawn = { width: head.getUint16(12, true), height: head.getUint16(14, true), quality: head.getUint8(16) };
       this.#tell({
-        type: "picture", generation: 0, rows: 0, spans: [], order: new Uint32Array(0), splats: 0, missing: 0, version, drawn,
+        type: "picture", generation: 0, rows: 0, spans: [], order: null, splats: 0, missing: 0, version, drawn,
         position: session.status.position, decodeMs: performance.now() - start, expandMs: head.getUint32(20, true) / 1000, sortMs: 0,
       });
     } else bitmap.close();

@@ -6,8 +6,10 @@
 import { exposureAt } from "./exposure.js";
 import { rigUp } from "../lib/rig.js";
 import { between, dot, fromCamera, homeCamera, row, target } from "./camera.js";
-import { braked, held, outside, seenSpace } from "./limits.js";
+import { drawWithWebgl } from "./drawing.js";
+import { braked, held, nearRadius, outside, seenSpace } from "./limits.js";
 import { Renderer } from "./renderer.js";
+import { Surface } from "./surface.js";
 import { Warp } from "./warp.js";
 
 /** @typedef {import("./camera.js").Pose} Pose */
@@ -24,16 +26,16 @@ const still = matchMedia("(prefers-reduced-motion: reduce)");
 export class Viewer extends EventTarget {
   /**
    * @param {HTMLCanvasElement} canvas
-   * @param {ReturnType<typeof import("./thin.js").createThin> | null} [thin] - where the server draws
-   * @throws {Error} without WebGL2, unless the server draws
+   * @param {import("./drawing.js").Drawing} [drawing] - what draws it; else WebGL2
+   * @throws {Error} without WebGL2, where nothing else draws
    */
-  constructor(canvas, thin = null) {
+  constructor(canvas, { renderer, worker } = drawWithWebgl(canvas)) {
     super();
-    this.canvas = canvas;
-    this.thin = thin !== null;
-    this.renderer = thin?.renderer ?? new Renderer(canvas);
-    this.software = /swiftshader|llvmpipe|software|basic render/i.test(this.renderer.hardware);
-    this.worker = thin?.worker ?? new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
+    this.canvas = canvas; // which hands are on, and of the picture's size
+    this.renderer = renderer;
+    this.worker = worker;
+    this.thin = renderer.api === "server";
+    renderer.ends?.then(() => this.fallBack());
     // What the worker said before it heard of the end may still arrive: nothing may be drawn with what was freed.
     this.worker.onmessage = (/** @type {{ data: FromWorker }} */ { data }) => this.running && this.#hear(data);
     /** @type {Pose} */
@@ -132,11 +134,11 @@ export class Viewer extends EventTarget {
         if (message.generation !== this.generation) this.renderer.clear();
         this.generation = message.generation;
         this.renderer.update(message.rows, message.spans, message.overMs);
-        this.renderer.setOrder(message.order);
+        if (message.order) this.renderer.setOrder(message.order);
         this.renderer.missing = message.missing;
         this.isOld ||= message.version !== this.picture?.version;
-        this.picture = { ...message, spans: [], order: new Uint32Array(0) };
-        this.dirty = true;
+        this.picture = { ...message, spans: [], order: null };
+        if (message.order || message.spans.length || message.drawn) this.dirty = true; // else they are seen from elsewhere, which is drawn anyway
         if (this.isLost && !this.renderer.isLost) this.#lose(false);
         break;
       }
@@ -245,7 +247,7 @@ export class Viewer extends EventTarget {
 
   /** Ask for splats as they are seen from there. @param {{ position: Vec3, rotation: number[] }} view */
   lookFrom({ position, rotation }) {
-    this.tell({ type: "view", view: { position, rotation, levels: this.levels } });
+    this.tell({ type: "view", view: { position, rotation, levels: this.levels, unsorted: this.renderer.sorts } });
   }
 
   /** Fit the drawing buffer to the page. */
@@ -259,7 +261,7 @@ export class Viewer extends EventTarget {
     this.dirty = true;
   }
 
-  /** @returns {import("./renderer.js").View} */
+  /** @returns {import("./surface.js").View} */
   view() {
     const { width, height } = this.canvas;
     const { rotation, position, focal, stretch, shift } = this.pose;
@@ -269,11 +271,11 @@ export class Viewer extends EventTarget {
     const scale = focal * unit;
     return { rotation, translation, focal: [scale * stretch, scale], principal: [width / 2 + shift[0] * unit, height / 2 + shift[1] * unit],
       share: this.resting ? 1 : this.share, range: this.pose.distance,
-      exposure: exposureAt(position, this.scene?.cameras ?? [], this.scene?.exposures) };
+      near: nearRadius(position, this.scene?.cameras ?? []), exposure: exposureAt(position, this.scene?.cameras ?? [], this.scene?.exposures) };
   }
 
   #frame() {
-    if (this.presenting) return;
+    if (this.presenting || this.renderer.isBusy) return; // what takes longer than a frame shows by the time until the next
     const now = performance.now();
     if (this.glide) {
       const t = Math.min(1, (now - this.glide.start) / GLIDE_MS);
@@ -327,9 +329,10 @@ export class Viewer extends EventTarget {
 
   /** What moves the last picture, where that is wanted and can be. @returns {Warp | null} */
   #warping() {
-    if (!this.warps || !("gl" in this.renderer)) return null;
+    const { renderer } = this;
+    if (!this.warps || !(renderer instanceof Renderer)) return null;
     try {
-      return (this.warp ??= new Warp(this.renderer));
+      return (this.warp ??= new Warp(renderer));
     } catch {
       this.warps = false;
       return null;
@@ -367,15 +370,36 @@ export class Viewer extends EventTarget {
   }
 
   #restore() {
-    const { background } = this.renderer;
     if (!this.running) return;
-    this.renderer = new Renderer(this.canvas);
-    this.renderer.background = background;
-    this.renderer.backdrop = this.backdrop;
+    this.#drawWith(new Renderer(this.canvas));
+    if (!this.picture) this.#lose(false); // else with the next picture, which is on its way
+  }
+
+  /** Another one draws from now on, as soon as the worker has sent everything. @param {Surface} renderer */
+  #drawWith(renderer) {
+    const { background } = this.renderer;
+    this.renderer = Object.assign(renderer, { background, backdrop: this.backdrop });
     this.warp = null;
     this.generation = -1;
     this.tell({ type: "texture" });
-    if (!this.picture) this.#lose(false); // else with the next picture, which is on its way
+    this.viewChanged();
+  }
+
+  /** WebGL2 draws from now on: WebGPU cannot any more, or is not what is needed. */
+  fallBack() {
+    if (!this.running || this.renderer.api !== "WebGPU") return;
+    this.renderer.destroy();
+    try {
+      this.#drawWith(new Renderer(this.canvas));
+    } catch {
+      this.#drawWith(new Surface(this.canvas));
+      this.#lose(true);
+    }
+  }
+
+  /** Whether it is drawn by the processor. */
+  get software() {
+    return /swiftshader|llvmpipe|software|basic render/i.test(this.renderer.hardware);
   }
 
   /** What is seen, as an image. @returns {Promise<Blob>} */
@@ -385,7 +409,7 @@ export class Viewer extends EventTarget {
     this.draw();
     this.dirty = true;
     return new Promise((resolve, reject) => {
-      this.canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("no picture"))), "image/png");
+      this.renderer.canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("no picture"))), "image/png");
     });
   }
 

@@ -7,7 +7,7 @@ import { dot, row } from "./camera.js";
 import { link } from "./renderer.js";
 
 /** @typedef {import("./renderer.js").Renderer} Renderer */
-/** @typedef {import("./renderer.js").View} View */
+/** @typedef {import("./surface.js").View} View */
 
 const NEAREST = 3; // nearness from which a ray is followed: a third of the range
 const STEP_PX = 4, MAX_STEPS = 24, HALVINGS = 4; // along a ray to the first surface, in the kept picture; then closer to it

@@ -35,7 +35,7 @@ function placed(stand, { matrix: m }) {
   return { position, rotation: rows.flat() };
 }
 
-/** What the renderer needs for one eye. @type {(stand: Stand, eye: XRView, width: number, height: number) => import("./renderer.js").View} */
+/** What the renderer needs for one eye. @type {(stand: Stand, eye: XRView, width: number, height: number) => import("./surface.js").View} */
 function seen(stand, { transform, projectionMatrix: p }, width, height) {
   const { position, rotation } = placed(stand, transform);
   const translation = [0, 1, 2].map((i) => -dot(row(rotation, i), position));
@@ -44,6 +44,7 @@ function seen(stand, { transform, projectionMatrix: p }, width, height) {
 
 /** Must follow a click or a key. @param {Viewer} viewer @param {"immersive-vr" | "immersive-ar"} mode @returns {Promise<XRSession>} */
 export async function enter(viewer, mode) {
+  viewer.fallBack(); // headsets take pictures of WebGL2
   const renderer = /** @type {import("./renderer.js").Renderer} */ (viewer.renderer), isSeeThrough = mode === "immersive-ar";
   const session = await /** @type {XRSystem} */ (navigator.xr).requestSession(mode);
   await renderer.gl.makeXRCompatible();

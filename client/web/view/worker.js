@@ -98,7 +98,7 @@ function picture() {
   const overMs = source?.session.status.mode === "replay" && version === before.version + 1
     ? Math.min((timeMs - before.timeMs) / source.speed, MAX_MOVE_MS) : version === before.version ? null : 0;
   before = { version, timeMs };
-  const transfer = [order.buffer, ...spans.map(({ data }) => data.buffer)];
+  const transfer = [...(order ? [order.buffer] : []), ...spans.map(({ data }) => data.buffer)];
   const position = (shownAt = source?.session.status.position ?? null);
   tell({ type: "picture", ...result, timeMs, overMs, decodeMs, position }, /** @type {any} */ (transfer));
   questions.forEach(answer);

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,14 @@ CHROMIUM_FLAGS = [
 ]
 # WebGL runs as ever. Putting the page together on an emulated graphics card as well would take three times as long.
 TEST_FLAGS = [*CHROMIUM_FLAGS, "--disable-gpu-compositing"]
+# WebGPU in software, whose canvases only such a card puts on the page.
+WEBGPU_FLAGS = [
+    *CHROMIUM_FLAGS,
+    "--enable-unsafe-webgpu",
+    "--use-webgpu-adapter=swiftshader",
+    "--use-vulkan=swiftshader",
+    "--enable-features=Vulkan",
+]
 
 
 def chromium_path() -> str | None:
@@ -61,8 +70,8 @@ def node(kernel: bytes) -> str:
 
 
 @pytest.fixture(scope="package")
-def chromium(kernel: bytes) -> Iterator[Any]:
-    """A headless Chromium through Playwright, or a skip.
+def launch(kernel: bytes) -> Iterator[Callable[[list[str]], Any]]:
+    """Starts a headless Chromium with flags, through Playwright, or skips.
 
     For this folder only: while it is open, Playwright keeps an event loop running, under which asyncio.run refuses.
     """
@@ -71,9 +80,27 @@ def chromium(kernel: bytes) -> Iterator[Any]:
     if path is None:
         pytest.skip("Chromium is not installed: apt-get install chromium-headless-shell, or set CHROMIUM to its path")
     with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=TEST_FLAGS)
-        yield browser
-        browser.close()
+        yield lambda flags: playwright.chromium.launch(executable_path=path, args=flags)
+
+
+@pytest.fixture(scope="package")
+def chromium(launch: Callable[[list[str]], Any]) -> Iterator[Any]:
+    """A headless Chromium, without WebGPU."""
+    browser = launch(TEST_FLAGS)
+    yield browser
+    browser.close()
+
+
+@pytest.fixture(scope="package")
+def chromium_webgpu(launch: Callable[[list[str]], Any]) -> Iterator[Any]:
+    """A headless Chromium with WebGPU."""
+    browser = launch(WEBGPU_FLAGS)
+    yield browser
+    browser.close()
+
+
+# Of the driver on tests that look at the picture, and of browsers without WebGPU on pages that ask for it.
+REMARKS = ("GPU stall due to ReadPixels", "No available adapters")
 
 
 class Console:
@@ -85,7 +112,7 @@ class Console:
         page.on("pageerror", lambda error: self.lines.append(f"error: {error}"))
 
     def _add(self, line: str) -> None:
-        if "GPU stall due to ReadPixels" not in line:  # the driver's remark on tests that look at the picture
+        if not any(remark in line for remark in REMARKS):
             self.lines.append(line)
 
     def forgive(self, text: str) -> None:
@@ -114,12 +141,26 @@ def recording(clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture
-def page(chromium: Any) -> Iterator[Any]:
+@contextmanager
+def opened(browser: Any) -> Iterator[Any]:
     """A page of the rig's picture size whose console must stay empty."""
-    context = chromium.new_context(viewport={"width": 320, "height": 240}, reduced_motion="reduce")
+    context = browser.new_context(viewport={"width": 320, "height": 240}, reduced_motion="reduce")
     page = context.new_page()
     page.complaints = Console(page)
     yield page
     context.close()
     assert page.complaints.lines == []
+
+
+@pytest.fixture
+def page(chromium: Any) -> Iterator[Any]:
+    """A page in a browser without WebGPU."""
+    with opened(chromium) as page:
+        yield page
+
+
+@pytest.fixture
+def page_webgpu(chromium_webgpu: Any) -> Iterator[Any]:
+    """A page in a browser with WebGPU, in software: with `webgpu=1` in its address, it draws with it."""
+    with opened(chromium_webgpu) as page:
+        yield page
