@@ -24,6 +24,7 @@ from streamlod.core.files import put_in_place, temporary_beside
 
 _log = logging.getLogger(__name__)
 _ADDRESS = re.compile(r"(?P<scheme>wss?)(?P<place>://.+)/v1/streams/(?P<stream>[^/?#]+)/live")
+_LAST_NS = 2_000_000_000  # that the last picture is shown at most
 _TOLERANCE_NS = 40_000_000  # that sound may be off the pictures before it is joined anew
 
 
@@ -46,7 +47,9 @@ def fetch_and_add(url: str, token: str | None, film: Path, filmed_ns: Sequence[i
     server = f"{address['scheme'].replace('ws', 'http')}{address['place']}"
     try:
         with ServerClient(server, token) as client:
-            client.download_sound(unquote(address["stream"]), sound)
+            times = [time for time in filmed_ns if time is not None]
+            last_ns = None if not times else max(times) + _LAST_NS
+            client.download_sound(unquote(address["stream"]), sound, max(0, min(times, default=0)), last_ns)
         add_sound(film, sound, filmed_ns, fps)
     except (InputError, RequestRefused) as error:
         _log.warning("%s has no sound: %s", film, error)

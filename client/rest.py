@@ -121,9 +121,15 @@ class ServerClient:
         params = _times(begin, end) | ({} if epoch is None else {"epoch": epoch})
         return self._save(f"/v1/recordings/{quote(name, safe='')}/bitstream", _FILE, params, path)
 
-    def download_sound(self, name: str, path: Path) -> int:
-        """Write the sound of a stream to an Ogg Opus file; returns its length in bytes."""
-        return self._save(f"/v1/streams/{quote(name, safe='')}/sound", MEDIA_TYPE, {}, path, _MAX_SOUND_BYTES)
+    def download_sound(self, name: str, path: Path, from_ns: int = 0, to_ns: int | None = None) -> int:
+        """Write the sound of a stream to an Ogg Opus file; returns its length in bytes.
+
+        Args:
+            from_ns, to_ns: times between which live sound is wanted, on the clock of the packets.
+        """
+        times = {"from_ns": from_ns, "to_ns": to_ns}
+        given = {name: value for name, value in times.items() if value}
+        return self._save(f"/v1/streams/{quote(name, safe='')}/sound", MEDIA_TYPE, given, path, _MAX_SOUND_BYTES)
 
     def _save(self, place: str, kind: str, params: dict[str, Any], path: Path, most: int | None = None) -> int:
         """Write what is at `place` to a file, whole or not at all; returns its length in bytes, at most `most`."""

@@ -136,6 +136,8 @@ class _Take:
             if event.fields.get("state") == "failed":
                 raise InputError("stream", f"has failed: {event.fields.get('detail', '')}")
             self._tell(f"stream is {event.fields.get('state')}")
+        elif isinstance(event, Notice) and event.name == "sound":
+            self.has_sound = True
         elif isinstance(event, Notice) and event.name == "progress":
             self._tell(f"first frame {100 * float(event.fields.get('fraction') or 0):.0f} %")
 

@@ -10,6 +10,9 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
+from streamlod.codec.sound.beside import look_at_sound
+from streamlod.codec.sound.opus import read_sound
+
 _CLICK_SECONDS = 0.01
 _LOUD = 0.2  # of full scale
 _APART_SECONDS = 0.1  # less is one click
@@ -27,6 +30,12 @@ def onsets(samples: NDArray[np.int16], rate: int = 48_000) -> list[float]:
     """Seconds at which clicks begin in [N, channels] samples."""
     loud = np.flatnonzero(np.abs(samples.astype(np.float64)).max(axis=1) > _LOUD * 32767) / rate
     return [float(now) for i, now in enumerate(loud) if i == 0 or now - loud[i - 1] > _APART_SECONDS]
+
+
+def heard_at(sound: Path) -> list[float]:
+    """When clicks begin in an Ogg Opus file, on its clock in seconds."""
+    samples = np.concatenate(list(read_sound(sound)))
+    return [look_at_sound(sound).begin_ns / 1e9 + at for at in onsets(samples)]
 
 
 def write_sounding(

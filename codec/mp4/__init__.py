@@ -7,6 +7,7 @@ file.py      a whole file, and groups of pictures as segments
 tables.py    where samples lie, as tables of a file say
 reader.py    packets and sound of a file
 playlist.py  HLS playlists
+sound.py     pieces of live sound
 """
 
 from streamlod.codec.mp4.file import write_hls, write_mp4, write_slod

@@ -140,6 +140,16 @@ class Mp4Reader(PacketFile):
         return kind, HEAD.size, size or self._size - at
 
 
+def described_sound(moov: memoryview) -> OpusSettings | None:
+    """Settings of the sound of a movie; None without.
+
+    Raises:
+        BitstreamError: `bad_file`, its boxes are damaged.
+    """
+    tracks, _, _ = _movie(moov, most=0)
+    return next((track.settings for track in tracks if track.settings is not None), None)
+
+
 def _placed(runs: list[Run], track: _Track, file_size: int) -> Iterator[tuple[int, int, int]]:
     """Offset, size and time of each sample of a track that lies in the file.
 

@@ -27,9 +27,11 @@ _MOOF_BASE, _RUN_FIELDS = 0x020000, 0x000701  # offset of the data; duration, si
 _MOST_BYTES = 2**31 - 1  # of a fragment, as offsets are 32 bits with a sign
 
 
-def beginning(sound: OpusSettings | None = None) -> bytes:
+def beginning(sound: OpusSettings | None = None, *, scenes: bool = True) -> bytes:
     """The initialisation segment: which tracks there are."""
-    tracks = [(SCENES, _trak(SCENES, _VOLUMETRIC, TIMESCALE, full_box(b"vvhd", 0, 0), _scene_entry()))]
+    tracks = []
+    if scenes:
+        tracks.append((SCENES, _trak(SCENES, _VOLUMETRIC, TIMESCALE, full_box(b"vvhd", 0, 0), _scene_entry())))
     if sound is not None:
         track = _trak(SOUND, _AUDIBLE, SOUND_RATE, full_box(b"smhd", 0, 0, bytes(4)), _sound_entry(sound), sound)
         tracks.append((SOUND, track))

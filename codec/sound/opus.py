@@ -19,7 +19,7 @@ from streamlod.core.files import put_in_place, temporary_beside
 
 SAMPLE_RATE = 48_000  # the only rate at which Opus counts (RFC 7845, section 4)
 PACKET_SAMPLES = 960  # 20 ms
-_BITS_A_SECOND = {1: 64_000, 2: 96_000}
+BITS_A_SECOND = {1: 64_000, 2: 96_000}
 LAYOUTS = {1: "mono", 2: "stereo"}
 
 
@@ -39,7 +39,7 @@ def write_sound(path: Path, blocks: Iterable[Int16], channels: int, begin_ns: in
         with closing(av.open(str(temporary), "w", format="ogg", options={"fflags": "+bitexact"})) as container:
             stream = container.add_stream("libopus", rate=SAMPLE_RATE)
             stream.layout, stream.format = LAYOUTS[channels], "s16"
-            stream.bit_rate = _BITS_A_SECOND[channels]
+            stream.bit_rate = BITS_A_SECOND[channels]
             stream.options = {"frame_duration": "20"}
             stream.metadata[BEGIN_COMMENT] = str(begin_ns)
             at = 0

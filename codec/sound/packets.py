@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from fractions import Fraction
+from io import BytesIO
 from pathlib import Path
+from typing import BinaryIO
 
 from streamlod.codec.sound.beside import BEGIN_COMMENT, look_at_sound
 from streamlod.core.errors import InputError
@@ -16,6 +18,8 @@ from streamlod.core.files import put_in_place, temporary_beside
 _RATE = 48_000
 _HEAD = struct.Struct("<8sBBHIhB")
 _MAGIC = b"OpusHead"
+_SILENT_SAMPLES = 960
+_SILENCE = {1: b"\xf8\xff\xfe", 2: b"\xfc\xff\xfe"}  # 20 ms without a sound (RFC 6716 section 3.1, 4.3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +64,7 @@ def read_packets(path: Path) -> tuple[OpusSettings, list[OpusPacket]]:
     try:
         with closing(av.open(str(path.absolute()), format="ogg", options={"protocol_whitelist": "file"})) as container:
             stream = container.streams.audio[0]
-            settings = _settings(bytes(stream.codec_context.extradata or b""))
+            settings = settings_of(bytes(stream.codec_context.extradata or b""))
             packets = [bytes(packet) for packet in container.demux(stream) if packet.size]
     except (av.FFmpegError, OSError, ValueError, IndexError, struct.error) as error:
         raise InputError(path, "cannot be read as Ogg Opus; copy it again") from error
@@ -73,30 +77,96 @@ def write_packets(path: Path, settings: OpusSettings, packets: Iterable[OpusPack
     Raises:
         InputError: it cannot be written.
     """
-    import av
-
     temporary = temporary_beside(path)
+    writer: PacketWriter | None = None
     try:
-        with closing(av.open(str(temporary), "w", format="ogg", options={"fflags": "+bitexact"})) as container:
-            stream = container.add_stream("libopus", rate=_RATE)
-            stream.layout = "mono" if settings.channels == 1 else "stereo"
-            head = _HEAD.pack(_MAGIC, 1, settings.channels, settings.pre_skip, _RATE, settings.gain, 0)
-            stream.codec_context.extradata = head
-            begin: int | None = None
-            for each in packets:
-                if begin is None:
-                    begin = each.time
-                    stream.metadata[BEGIN_COMMENT] = str(max(0, round(begin * 10**9 / _RATE)))
-                packet = av.Packet(each.data)
-                packet.stream, packet.time_base = stream, Fraction(1, _RATE)
-                packet.pts = packet.dts = each.time - begin - settings.pre_skip
-                packet.duration = each.samples
-                container.mux(packet)
-        put_in_place(temporary, path)
-    except (av.FFmpegError, OSError, ValueError) as error:
+        for each in packets:
+            writer = writer or PacketWriter(temporary, settings, each.time)
+            writer.append(each)
+        if writer is not None:
+            writer.close()
+            put_in_place(temporary, path)
+    except OSError as error:
         raise InputError(path, f"cannot be written as sound ({error})") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def sound_file(settings: OpusSettings, packets: Sequence[OpusPacket]) -> bytes:
+    """The same as bytes; at least one packet."""
+    file = BytesIO()
+    writer = PacketWriter(file, settings, packets[0].time)
+    for each in packets:
+        writer.append(each)
+    writer.close()
+    return file.getvalue()
+
+
+class PacketWriter:
+    """Writes a file of sound as it comes; what has been written can be read at any time, within a second.
+
+    Args:
+        path: of the file; or a buffer.
+        settings: of the packets.
+        begin: time of the first packet, as of `OpusPacket`.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+
+    def __init__(self, path: Path | BinaryIO, settings: OpusSettings, begin: int) -> None:
+        import av
+
+        self._begin, self._settings = begin, settings
+        self._end = begin  # of what is written
+        place = str(path) if isinstance(path, Path) else path
+        try:
+            self._container = av.open(place, "w", format="ogg", options={"fflags": "+bitexact+flush_packets"})
+            self._stream = self._container.add_stream("libopus", rate=_RATE)
+            self._stream.layout = "mono" if settings.channels == 1 else "stereo"
+            head = _HEAD.pack(_MAGIC, 1, settings.channels, settings.pre_skip, _RATE, settings.gain, 0)
+            self._stream.codec_context.extradata = head
+            self._stream.metadata[BEGIN_COMMENT] = str(max(0, round(begin * 10**9 / _RATE)))
+        except (av.FFmpegError, ValueError) as error:
+            raise OSError(str(error)) from error
+
+    def append(self, packet: OpusPacket) -> None:
+        """Add a packet; where some are missing before it there is silence, and one that is there already is left out.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        silence = _SILENCE[self._settings.channels]
+        while packet.time - self._end >= _SILENT_SAMPLES:
+            self._write(OpusPacket(self._end, _SILENT_SAMPLES, silence))
+        if packet.time - self._end > -_SILENT_SAMPLES:
+            self._write(packet)
+
+    def close(self) -> None:
+        """Finish the file.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        import av
+
+        try:
+            self._container.close()
+        except (av.FFmpegError, ValueError) as error:
+            raise OSError(str(error)) from error
+
+    def _write(self, each: OpusPacket) -> None:
+        import av
+
+        packet = av.Packet(each.data)
+        packet.stream, packet.time_base = self._stream, Fraction(1, _RATE)
+        packet.pts = packet.dts = self._end - self._begin - self._settings.pre_skip
+        packet.duration = each.samples
+        self._end += each.samples
+        try:
+            self._container.mux(packet)
+        except (av.FFmpegError, ValueError) as error:
+            raise OSError(str(error)) from error
 
 
 def samples_in(packet: bytes) -> int:
@@ -129,7 +199,12 @@ def _timed(packets: Iterable[bytes], time: int) -> Iterator[OpusPacket]:
         time += samples
 
 
-def _settings(head: bytes) -> OpusSettings:
+def settings_of(head: bytes) -> OpusSettings:
+    """The settings in the head of a stream of Opus (RFC 7845 section 5.1).
+
+    Raises:
+        ValueError, struct.error: it is no such head, or of other than mono or stereo sound.
+    """
     magic, _, channels, pre_skip, _, gain, family = _HEAD.unpack_from(head)
     if magic != _MAGIC or channels not in (1, 2) or family != 0:
         raise ValueError("no mono or stereo sound")

@@ -9,7 +9,8 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Query, Request, Response
 
 from streamlod.codec.container import FilePart, joined, size_of
-from streamlod.codec.sound.beside import MEDIA_TYPE, find_sound
+from streamlod.codec.sound.beside import MAX_TIME_NS, MEDIA_TYPE, find_sound
+from streamlod.codec.sound.packets import sound_file
 from streamlod.core.errors import InputError, StreamlodError
 from streamlod.server.api.access import StreamOf, need_download
 from streamlod.server.api.ranges import FRESH, IMMUTABLE, Download, WallClock, respond
@@ -105,12 +106,23 @@ async def recording(stream: StreamOf, request: Request) -> Response:
     return respond(request, Download(pieces, digest(state.encode()), _FILE_TYPE, FRESH, f"{stream.id}.slod"))
 
 
-@played.get(SOUND, summary="The sound of the file that the stream plays", response_class=Response, responses=ANSWERS)
-async def sound(stream: StreamOf, request: Request) -> Response:
-    """The Ogg Opus file that belongs to the recording of a stream whose description tells of `sound`."""
+@played.get(SOUND, summary="The sound of the stream", response_class=Response, responses=ANSWERS)
+async def sound(
+    stream: StreamOf,
+    request: Request,
+    from_ns: Annotated[int, Query(ge=0, le=MAX_TIME_NS, description="of live sound: its begin, as packets count")] = 0,
+    to_ns: Annotated[
+        int | None, Query(ge=0, le=MAX_TIME_NS, description="of live sound: its end, an hour later at most")
+    ] = None,
+) -> Response:
+    """An Ogg Opus file: that of the recording which the stream plays, or retained live sound from `from_ns` on."""
     found = None if stream.played_file is None else await asyncio.to_thread(find_sound, stream.played_file)
     if found is None:
-        raise Problem(404, "the stream has no sound")
+        packets = await stream.sound_track.packets(from_ns, to_ns)
+        if packets is None:
+            raise Problem(404, "the stream has no sound, or none of these times")
+        data = await asyncio.to_thread(sound_file, *packets)
+        return respond(request, Download((data,), digest(data), MEDIA_TYPE, FRESH, f"{stream.id}.opus"))
     state = f"{stream.id} {found.changed_ns} {found.size_bytes} sound"
     whole = FilePart(found.path, 0, found.size_bytes)
     return respond(request, Download((whole,), digest(state.encode()), MEDIA_TYPE, FRESH, f"{stream.id}.opus"))

@@ -22,6 +22,7 @@ from streamlod.server.settings import Settings
 
 _OPTIONS_IN_QUERY = ("tcp", "udp", "srt")  # whose addresses tell FFmpeg more than where to
 _HARMLESS = {"mode", "latency", "passphrase", "pbkeylen", "streamid", "timeout", "pkt_size", "fifo_size", "buffer_size"}
+_DEVICES = {"v4l2": None, "alsa": "/dev/snd"}  # what has to be among the files that may be read
 _REDIRECTED = ("rtsp", "rtsps")  # where FFmpeg goes wherever the camera sends it
 
 
@@ -75,6 +76,14 @@ def _check_rig(rig: dict[str, Any], settings: Settings, grant: Grant) -> None:
         source = camera.get("source") if isinstance(camera, dict) else None
         if isinstance(source, str):
             _check_source(f"live.cameras.{number}.source", source, settings, grant)
+    sound = rig.get("sound")
+    if isinstance(sound, str) and not _is_camera(sound, cameras):
+        _check_source("live.sound", sound, settings, grant)
+
+
+def _is_camera(name: str, cameras: object) -> bool:
+    listed = cameras if isinstance(cameras, list) else []
+    return any(isinstance(camera, dict) and camera.get("name") == name for camera in listed)
 
 
 def _check_source(name: str, source: str, settings: Settings, grant: Grant) -> None:
@@ -89,8 +98,8 @@ def _check_source(name: str, source: str, settings: Settings, grant: Grant) -> N
         host, port = (parts.hostname or "").lower(), parts.port
     except ValueError as error:
         raise InputError(name, "is not a URL") from error
-    if parts.scheme == "v4l2":
-        _check_path(name, parts.path, settings, grant)
+    if parts.scheme in _DEVICES:
+        _check_path(name, _DEVICES[parts.scheme] or parts.path, settings, grant)
         return
     listens = parts.scheme.endswith("+listen") or parts.scheme == "udp"
     if parts.scheme.partition("+")[0] in _OPTIONS_IN_QUERY:

@@ -50,6 +50,7 @@ class SoundBody(BaseModel):
 
     begin_ns: int = Field(description="time of its first sample, on the clock of the packets' times")
     channels: int
+    live: bool = Field(default=False, description="whether it comes as it is heard, by the live websocket")
 
 
 class StreamBody(BaseModel):
@@ -64,7 +65,7 @@ class StreamBody(BaseModel):
         description="live cameras, pictures taken earlier that are trained now, or a recorded bitstream"
     )
     loop: bool = Field(description="whether a recording begins again at its end")
-    sound: SoundBody | None = Field(description="the sound that belongs to a played recording; null without")
+    sound: SoundBody | None = Field(description="the sound of a played recording or of live cameras; null without")
     state: Literal["idle", "starting", "live", "degraded", "ended", "failed"]
     detail: str = Field(description="why, where the state needs an explanation")
     epoch: int | None

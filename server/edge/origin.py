@@ -51,6 +51,7 @@ class OriginSound(BaseModel):
 
     begin_ns: int = Field(ge=0, le=MAX_TIME_NS)
     channels: int = Field(ge=1, le=2)
+    live: bool = False
 
 
 class OriginStream(UnknownStream):

@@ -6,10 +6,11 @@ from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Annotated
 
-from fastapi import APIRouter, Path, Request, Response
+from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import StreamingResponse
 
 from streamlod.codec.mp4.playlist import MEDIA_TYPE, with_query
+from streamlod.codec.sound.beside import MAX_TIME_NS
 from streamlod.server.api.access import StreamOf, need_download
 from streamlod.server.api.downloads import ANSWERS, RECORDING, SOUND
 from streamlod.server.api.hls.routes import HLS
@@ -26,6 +27,7 @@ _ANSWERED = ("Accept-Ranges", "Content-Disposition", "Content-Length", "Content-
 _PASSED_ON = {200, 206, 304, 404, 416}
 _CHUNK_BYTES = 1 << 18
 _SEGMENTS = r"(recording|[0-9a-f]{16}/[0-9]{1,10})/(parts/[0-9]{1,10}-)?[0-9]{1,10}\.m4s"
+TimeNs = Annotated[int, Query(ge=0, le=MAX_TIME_NS, description="of live sound, as packets count")]
 _NAMES = rf"^(index\.m3u8|init\.mp4|{_SEGMENTS})$"  # below HLS, and nothing that leads out of it
 
 router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[need_download()])
@@ -44,13 +46,14 @@ async def recording(stream: StreamOf, request: Request) -> Response:
 
 @router.get(
     SOUND,
-    summary="The sound of the file that the stream plays",
+    summary="The sound of the stream",
     response_class=Response,
     responses=ANSWERS | {502: PROBLEMS[502]},
 )
-async def sound(stream: StreamOf, request: Request) -> Response:
-    """The Ogg Opus file that belongs to the recording, as the origin sends it."""
-    return await _pass_on(request, f"/v1/streams/{stream.id}{SOUND}")
+async def sound(stream: StreamOf, request: Request, from_ns: TimeNs = 0, to_ns: TimeNs | None = None) -> Response:
+    """The Ogg Opus file that belongs to the recording, or is made of live sound, as the origin sends it."""
+    times = f"?from_ns={from_ns}" + ("" if to_ns is None else f"&to_ns={to_ns}")
+    return await _pass_on(request, f"/v1/streams/{stream.id}{SOUND}{times}")
 
 
 @router.get(

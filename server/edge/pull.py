@@ -14,6 +14,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.typing import Subprotocol
 
+from streamlod.codec.mp4.sound import is_piece
 from streamlod.core.close_codes import REFUSALS, CloseCode
 from streamlod.core.errors import SessionError
 from streamlod.server.edge.origin import Origin, OriginStream
@@ -136,6 +137,7 @@ async def _session(socket: ClientConnection, taker: PacketTaker) -> None:
     """One connection, until it closes."""
     held, sent_ns = taker.held, time.time_ns()
     hello = {"type": "hello", "versions": [PROTOCOL_VERSION], "client": "streamlod-edge/1", "relay": True}
+    hello["sound"] = True
     await socket.send(json.dumps(hello | {"start": LIVE if held is None else held.to_json()}))
     welcome = await _welcome(socket)
     taker.on_welcome(welcome, sent_ns)
@@ -148,7 +150,9 @@ async def _session(socket: ClientConnection, taker: PacketTaker) -> None:
                 message = await socket.recv()
         except TimeoutError:
             pass
-        if isinstance(message, bytes):
+        if isinstance(message, bytes) and is_piece(message):
+            taker.on_sound(message)
+        elif isinstance(message, bytes):
             await taker.on_packet(message)
             acks.count(len(message))
         elif message is not None and (parsed := read_object(message)).get("type") == "event":

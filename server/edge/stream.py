@@ -96,7 +96,7 @@ class EdgeStream(Stream):
     def update(self, described: OriginStream) -> None:
         """Take over what the origin says now; a stream that is pulled hears of its state sooner."""
         self.source, self.loop, self.created_at = described.source, described.loop, described.created_at
-        self.sound = None if described.sound is None else described.sound.model_dump()
+        self.file_sound = None if described.sound is None else described.sound.model_dump(exclude_defaults=True)
         self.report, self.ingest = described.report, described.ingest
         if not self.is_pulled:
             self.progress = described.progress
@@ -172,6 +172,10 @@ class EdgeStream(Stream):
             self.bus.skip()
         retained = self.bus.window.newest  # behind the hub's where a group of pictures was dropped
         self._publish(packet if retained is None else replace(packet, sequence=retained.sequence + 1))
+
+    def on_sound(self, data: bytes) -> None:
+        """See `supply.PacketTaker`."""
+        self._hear(data)
 
     def on_break(self, reason: str) -> None:
         """See `supply.PacketTaker`."""

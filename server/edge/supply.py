@@ -25,6 +25,9 @@ class PacketTaker(Protocol):
     async def on_packet(self, data: bytes) -> None:
         """A packet."""
 
+    def on_sound(self, data: bytes) -> None:
+        """A piece of live sound."""
+
     def on_break(self, reason: str) -> None:
         """The connection broke, or could not be opened; another attempt follows."""
 

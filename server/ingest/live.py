@@ -6,7 +6,7 @@ Pixels are converted just before training asks for them, and only for instants t
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from streamlod.codec.mp4.sound import SoundPiece
 from streamlod.core.arrays import Bool, UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.camera.grid import period_of
@@ -43,6 +44,7 @@ class LiveDataset:
         definition: of the rig.
         developments: for each camera used, undistorts and scales its raw pictures.
         push_socket: where to take pictures that the serving process relays, while frames are read; or none.
+        give_sound: takes the rig's sound as it comes, while frames are read; or none.
         space: leads from the calibration's coordinates to those of `cameras`, points and depth bounds.
         cameras: pinholes that match the pictures of `frames`.
     """
@@ -50,6 +52,7 @@ class LiveDataset:
     definition: RigDefinition
     developments: tuple[Development, ...]
     push_socket: Path | None = None
+    give_sound: Callable[[SoundPiece], None] | None = None
     space: Similarity = UNCHANGED
     cameras: tuple[Camera, ...] = field(init=False)
     frame_count: None = field(init=False, default=None)  # endless
@@ -88,7 +91,7 @@ class LiveDataset:
 
     def placed(self, space: Similarity) -> LiveDataset:
         """The same rig in another space, to which `space` leads from the calibration's coordinates."""
-        return LiveDataset(self.definition, self.developments, self.push_socket, space)
+        return LiveDataset(self.definition, self.developments, self.push_socket, self.give_sound, space)
 
     def select(self, names: Sequence[str]) -> LiveDataset:
         """The same rig with the cameras `names` only, in that order; others are not read.
@@ -104,7 +107,8 @@ class LiveDataset:
             raise InputError(self.definition.path, f"has no camera {unknown[0]!r:.80}; it has {', '.join(plans)}")
         if not names or len(set(names)) < len(names):
             raise InputError(self.definition.path, "needs at least one camera selected, and each only once")
-        return LiveDataset(self.definition, tuple(plans[name] for name in names), self.push_socket, self.space)
+        chosen = tuple(plans[name] for name in names)
+        return LiveDataset(self.definition, chosen, self.push_socket, self.give_sound, self.space)
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[FrameSet]:
         """Frame sets as they come, numbered from `start` without gaps, up to `stop` or until the sources end.
@@ -141,7 +145,7 @@ class LiveDataset:
         index = start
         if stop is not None and index >= stop:
             return
-        rig = self._rig = Rig(self.definition, self.names)
+        rig = self._rig = Rig(self.definition, self.names, self.give_sound)
         with ExitStack() as stack:
             stack.callback(self._release)
             stack.callback(rig.stop)
@@ -197,10 +201,17 @@ class LiveDataset:
         self._rig = None
 
 
-def open_live(source: Path | dict[str, Any], *, downscale: float = 1, push_socket: Path | None = None) -> LiveDataset:
+def open_live(
+    source: Path | dict[str, Any],
+    *,
+    downscale: float = 1,
+    push_socket: Path | None = None,
+    give_sound: Callable[[SoundPiece], None] | None = None,
+) -> LiveDataset:
     """The rig that a file or a mapping describes, its pictures made smaller by `downscale`.
 
     Pushed pictures come through a `RelayedIntake` to `push_socket`, or from an `Intake(dataset.rig)` in this process.
+    Its sound goes to `give_sound`, where somebody wants it.
 
     Raises:
         InputError: see `read_definition`; a file that is not there, pictures of different shapes, a distortion that
@@ -212,4 +223,4 @@ def open_live(source: Path | dict[str, Any], *, downscale: float = 1, push_socke
             raise InputError(f"camera {camera.name}", f"there is no file {address.url}")
     if not 1 <= downscale <= 64:
         raise InputError("downscale", f"must lie between 1 and 64, not {downscale}")
-    return LiveDataset(definition, developments(definition.cameras, downscale), push_socket)
+    return LiveDataset(definition, developments(definition.cameras, downscale), push_socket, give_sound)

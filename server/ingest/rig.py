@@ -10,13 +10,19 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+import av
+
+from streamlod.codec.mp4.sound import SoundPiece
 from streamlod.core.camera.grid import period_of
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.definition import RigDefinition
-from streamlod.server.ingest.cameras.reader import ENDED, Reader
+from streamlod.server.ingest.cameras.reader import Reader
+from streamlod.server.ingest.cameras.sound_reader import SoundReader
+from streamlod.server.ingest.cameras.source_thread import ENDED, SourceThread
+from streamlod.server.ingest.sound.hearing import Hearing
 from streamlod.server.ingest.statistics import CameraStatistics, Statistics
 from streamlod.server.ingest.sync.clock import ClockSource
 from streamlod.server.ingest.sync.picture import Picture
@@ -52,12 +58,18 @@ class Rig:
     Args:
         definition: of the rig.
         chosen: names of the cameras to read.
+        give_sound: takes the pieces of the definition's sound; None where nobody listens.
 
     Attributes:
         waiting: whether training waits; set by the consumer of `instants`.
     """
 
-    def __init__(self, definition: RigDefinition, chosen: Sequence[str]) -> None:
+    def __init__(
+        self,
+        definition: RigDefinition,
+        chosen: Sequence[str],
+        give_sound: Callable[[SoundPiece], None] | None = None,
+    ) -> None:
         self._fps, self._paced = definition.fps, definition.realtime
         self._names = tuple(chosen)
         self._epoch_ns: int | None = None
@@ -83,7 +95,13 @@ class Rig:
             if camera.name in self._last and address.scheme == "push"
         }
         anchor = self._timeline.now_ns() + _FILE_DELAY_NS
-        self._readers = [
+        sound = self._sound = None if give_sound is None else definition.sound
+        self._hearing: Hearing | None = None
+        if sound is not None and give_sound is not None:
+            self._hearing = Hearing(sound.name, give_sound, self._timeline, self._wait_for_pictures)
+            if sound.camera is not None and sound.camera not in self._last:
+                self._hearing.gone("its camera is not used")
+        self._readers: list[SourceThread] = [
             Reader(
                 camera.name,
                 address,
@@ -93,10 +111,16 @@ class Rig:
                 self._timeline,
                 anchor_ns=anchor,
                 paced=self._paced,
+                hearing=self._hearing if sound is not None and sound.camera == camera.name else None,
             )
             for camera, address in zip(definition.cameras, definition.addresses, strict=True)
             if camera.name in self._last and camera.name not in self._pushed
         ]
+        if self._hearing is not None and sound is not None and sound.address is not None:
+            reader = SoundReader(
+                sound.address, self._fps, self._hearing, self._timeline, anchor_ns=anchor, paced=self._paced
+            )
+            self._readers.append(reader)
 
     @property
     def now_ns(self) -> int:
@@ -183,6 +207,15 @@ class Rig:
         """Instants a second."""
         return self._fps
 
+    def hears(self, camera: str) -> bool:
+        """See `intake.PushTarget`."""
+        return self._sound is not None and self._sound.camera == camera
+
+    def put_sound(self, frame: av.AudioFrame, capture_ns: int) -> None:
+        """See `intake.PushTarget`."""
+        if self._hearing is not None:
+            self._hearing.put(frame, capture_ns)
+
     @property
     def pushed(self) -> Mapping[str, tuple[int, int]]:
         """(width, height) of each camera that capture nodes push."""
@@ -226,7 +259,9 @@ class Rig:
 
     def statistics(self) -> Statistics:
         """A snapshot."""
-        clocks = {reader.camera: (reader.clock, reader.connections) for reader in self._readers}
+        cameras_read = [reader for reader in self._readers if isinstance(reader, Reader)]
+        clocks = {reader.camera: (reader.clock, reader.connections) for reader in cameras_read}
+        sound = None if self._hearing is None else self._hearing.fault()
         with self._change:
             now = self._clock_ns()
             states, counts = self._synchroniser.states(now), self._synchroniser.counts()
@@ -246,7 +281,15 @@ class Rig:
                 self._latency_ns,
                 self._synchroniser.steps,
                 cameras,
+                sound,
             )
+
+    def _wait_for_pictures(self, capture_ns: int) -> None:
+        """Sound of an unpaced file does not run ahead of the pictures."""
+        with self._change:
+            if not self._paced:
+                lead = _LEAD * period_of(self._fps)
+                self._change.wait_for(lambda: self._stopped or self._is_over() or capture_ns <= self._virtual_ns + lead)
 
     def _queue(self, instants: list[Instant]) -> None:
         self._instants.extend(instants)

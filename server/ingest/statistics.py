@@ -38,6 +38,7 @@ class Statistics:
         latency_ns: from capture to delivery, of the newest instant delivered.
         clock_steps: times that the cameras' common clock was stepped.
         cameras: by name.
+        sound: why nothing is heard, in a sentence; empty where there is sound; None where none is wanted.
     """
 
     degraded: bool
@@ -48,3 +49,4 @@ class Statistics:
     latency_ns: int
     clock_steps: int
     cameras: dict[str, CameraStatistics]
+    sound: str | None = None

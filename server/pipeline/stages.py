@@ -19,6 +19,7 @@ import numpy as np
 
 from streamlod.codec.container import SlodWriter
 from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.mp4.sound import SoundPiece
 from streamlod.codec.refresh import RefreshRule, RefreshSchedule, keyframe_bytes
 from streamlod.core.camera import Camera
 from streamlod.core.camera.space import space_of
@@ -153,18 +154,21 @@ class _Trained:
         return encode_residual(*self.change, time_ns=self.time_ns)
 
 
-def open_job(job: TrainJob, push_socket: Path | None = None) -> OpenJob:
+def open_job(
+    job: TrainJob, push_socket: Path | None = None, give_sound: Callable[[SoundPiece], None] | None = None
+) -> OpenJob:
     """Open the data set and choose the cameras.
 
     Args:
         push_socket: where a live rig takes pictures that capture nodes push.
+        give_sound: takes a live rig's sound as it comes, on threads of its own.
 
     Raises:
         InputError: the data set or the choice is unusable.
     """
     dataset: Dataset | LiveDataset
     if job.live is not None:
-        dataset = open_live(job.live, downscale=job.downscale, push_socket=push_socket)
+        dataset = open_live(job.live, downscale=job.downscale, push_socket=push_socket, give_sound=give_sound)
     elif job.data is not None:
         dataset = open_dataset(job.data, layout=job.layout, downscale=job.downscale)
     else:

@@ -27,7 +27,8 @@ _MAX_INTEGER = 2**53  # the largest integers that every JSON reader keeps exactl
 class Hello:
     """A viewer's first message; None stands for "no limit", and `start` None for the live edge.
 
-    `pictures` asks for pictures instead of packets, `relay` for every packet as it was published, from `start` on.
+    `pictures` asks for pictures instead of packets, `relay` for every packet as it was published, from `start` on,
+    `sound` for live sound.
     """
 
     client: str
@@ -36,6 +37,7 @@ class Hello:
     kilobytes_per_second: float | None
     pictures: bool = False
     relay: bool = False
+    sound: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +55,7 @@ class Set:
     kilobytes_per_second: float | None
     given: frozenset[str]
     speed: float = 1.0
+    sound: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +98,8 @@ def parse_hello(text: str) -> Hello:
     if not isinstance(client, str) or len(client) > 200 or not client.isprintable():  # because it is logged
         raise SessionError(CloseCode.BAD_MESSAGE, "client must be a string of at most 200 printable characters")
     start, pictures = _target(message.get("start", LIVE), "start"), _flag(message, "pictures")
-    return Hello(client, start, _levels(message), _rate(message), pictures, _flag(message, "relay"))
+    flags = pictures, _flag(message, "relay"), _flag(message, "sound")
+    return Hello(client, start, _levels(message), _rate(message), *flags)
 
 
 def parse_control(text: str) -> Control:
@@ -109,8 +113,8 @@ def parse_control(text: str) -> Control:
         case "ack" if "picture" not in message:
             return Ack(_integer(message.get("bytes"), "bytes"))
         case "set":
-            given = frozenset(message) & {"levels", "kilobytes_per_second", "speed"}
-            return Set(_levels(message), _rate(message), given, _speed(message))
+            given = frozenset(message) & {"levels", "kilobytes_per_second", "speed", "sound"}
+            return Set(_levels(message), _rate(message), given, _speed(message), _flag(message, "sound"))
         case "seek":
             return Seek(_target(message.get("to"), "to"), _flag(message, "stop"))
         case "pause" | "play" as kind:

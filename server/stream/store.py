@@ -17,7 +17,7 @@ import sqlite3
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,7 +25,10 @@ from typing import Any, TypeVar
 
 from streamlod.codec.container import SlodReader, SlodWriter
 from streamlod.codec.container.layout import FILE_HEAD, SIZE
+from streamlod.codec.mp4.sound import SoundPiece
 from streamlod.codec.packet.packet import PacketKind
+from streamlod.codec.sound.beside import sound_beside
+from streamlod.codec.sound.packets import PacketWriter
 from streamlod.core.errors import BitstreamError, InputError, StorageError
 from streamlod.server.protocol.packets import Position, StreamPacket
 from streamlod.server.settings import Retention
@@ -42,7 +45,7 @@ from streamlod.server.stream.stored_stream import (
 _LOG = logging.getLogger(__name__)
 _T = TypeVar("_T")
 _SEGMENT = re.compile(r"(\d{6,10})-(\d{10})\.slod")
-_OWN_NAMES = re.compile(r"stream\.(json|new|damaged)")
+_OWN_NAMES = re.compile(r"stream\.(json|new|damaged)|\d{6,10}-\d{10}\.slod\.opus")
 _STREAM = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS segments(
@@ -162,6 +165,8 @@ class Recording:
         self._store, self._stream = store, stream
         self._folder = store.folder / "streams" / stream
         self._writer: SlodWriter | None = None
+        self._sound: PacketWriter | None = None  # of the open segment, once there is sound
+        self._sound_fails = False
         self._waiting_bytes = 0
         self._noting = threading.Lock()
         self.fault: str | None = None
@@ -194,6 +199,11 @@ class Recording:
             return None
         self._waiting_bytes += len(packet.data)
         return self._store.submit(lambda: self._write(packet))
+
+    def append_sound(self, pieces: Sequence[SoundPiece]) -> None:
+        """Queue sound for the file beside the open segment; without one it is left out."""
+        if self._waiting_bytes <= self._store.retention.memory_bytes:
+            self._store.submit(lambda: self._write_sound(pieces))
 
     async def flush(self) -> None:
         """Wait until everything appended so far is written."""
@@ -244,6 +254,28 @@ class Recording:
         self.segments[-1] = replace(last, last=packet.position, packets=last.packets + 1, size_bytes=size)
         self.fault = None
 
+    def _write_sound(self, pieces: Sequence[SoundPiece]) -> None:
+        """Append to the sound of the open segment, of which a failure is reported once. On the recording thread."""
+        if self._writer is None or self._sound_fails:
+            return
+        path = sound_beside(self.segments[-1].path)
+        try:
+            if self._sound is None:
+                os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE_FILE))
+                self._sound = PacketWriter(path, pieces[0].settings, pieces[0].packets[0].time)
+            for piece in pieces:
+                for packet in piece.packets:
+                    self._sound.append(packet)
+        except OSError as error:
+            self._sound_fails = True
+            _LOG.error("stream %s: sound is not recorded before the next keyframe: %s", self._stream, error)
+
+    def _finish_sound(self) -> None:
+        sound, self._sound, self._sound_fails = self._sound, None, False
+        if sound is not None:
+            with contextlib.suppress(OSError):  # it can be read up to where it was written
+                sound.close()
+
     def _begin(self, packet: StreamPacket) -> None:
         if not self._store.has_room:
             raise OSError("the disk is full except for its reserve")
@@ -258,6 +290,7 @@ class Recording:
 
     def finish(self) -> None:
         """Close the open segment. On the recording thread."""
+        self._finish_sound()
         if self._writer is None:
             return
         writer, self._writer = self._writer, None
@@ -274,6 +307,7 @@ class Recording:
 
     def _abandon(self) -> None:
         """Give up the open segment, keeping it up to its last whole packet."""
+        self._finish_sound()
         writer, self._writer = self._writer, None
         if writer is None:
             return
@@ -305,7 +339,8 @@ class Recording:
 
     def _delete(self, segments: list[Segment]) -> None:
         for segment in segments:
-            segment.path.unlink(missing_ok=True)
+            for path in (segment.path, sound_beside(segment.path)):
+                path.unlink(missing_ok=True)
             key = (self._stream, segment.first.epoch, segment.first.version)
             self._store.execute("DELETE FROM segments WHERE stream = ? AND epoch = ? AND first = ?", key)
         self.segments = [s for s in self.segments if s not in segments]
@@ -356,7 +391,8 @@ class Recording:
         if not entries or entries[0].kind is not PacketKind.KEY:
             if _is_cut_short(path):
                 _LOG.warning("stream %s: %s holds no whole keyframe and is deleted", self._stream, path.name)
-                path.unlink(missing_ok=True)
+                for each in (path, sound_beside(path)):
+                    each.unlink(missing_ok=True)
             else:
                 _LOG.warning("stream %s: %s is left alone: %s", self._stream, path.name, fault)
             return None

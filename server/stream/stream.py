@@ -20,6 +20,7 @@ from streamlod.server.stream.bus import Bus
 from streamlod.server.stream.counters import Counters
 from streamlod.server.stream.feed import Feed
 from streamlod.server.stream.hub import Hub
+from streamlod.server.stream.sound_track import SoundTrack
 from streamlod.server.stream.together import Together
 from streamlod.server.stream.traces import Traces
 
@@ -45,7 +46,8 @@ class Stream:
         replaced: its viewers are told to connect again.
         push_socket: where its worker takes pictures that capture nodes push, or None.
         played_file: the recording that it plays, or None.
-        sound: what is told of the sound that belongs to it: `begin_ns` and `channels`; None without.
+        file_sound: what is told of the sound of the file that it plays, or of its origin; None without.
+        sound_track: its live sound.
         worker_node: address of the cluster's node that its worker runs on; empty where it runs on this machine, or not.
         is_paused: whether it plays a file that nobody watches, and so makes no packets for now.
         camera_pictures: a small JPEG file of what each camera saw last, where the server shows that.
@@ -56,7 +58,7 @@ class Stream:
     created_at = datetime.fromtimestamp(0, UTC)
     push_socket: Path | None = None
     played_file: Path | None = None
-    sound: dict[str, int] | None = None
+    file_sound: dict[str, Any] | None = None
     worker_node = ""
     is_paused = False
 
@@ -73,6 +75,7 @@ class Stream:
         self.feed = feed or Feed()
         self.traces = traces or Traces()
         self.bus = bus or Bus(settings.retention.memory_bytes)
+        self.sound_track = SoundTrack(self.bus.recording if self.bus.keeps else None)
         self.counters = Counters()
         self.hub = Hub(_HUB_BYTES, self.counters, settings.limits.decoder)
         self.together = Together(settings.together)
@@ -124,6 +127,11 @@ class Stream:
     def levels(self) -> int | None:
         """Levels of the scene."""
         return self.hub.newest.info.level_mask.bit_length() if self.hub.newest else None
+
+    @property
+    def sound(self) -> dict[str, Any] | None:
+        """Facts of its sound, as in docs/protocol.md; None without."""
+        return self.file_sound or self.sound_track.facts
 
     @property
     def window(self) -> dict[str, Any] | None:
@@ -179,6 +187,13 @@ class Stream:
     def unlisten(self, queue: asyncio.Queue[dict[str, Any]]) -> None:
         """No more events into `queue`."""
         self._events.remove(queue)
+
+    def _hear(self, data: bytes) -> None:
+        """Take a piece of live sound; viewers are told when there is some at last."""
+        before = self.sound
+        self.sound_track.add(data)
+        if before is None and self.sound is not None:
+            self._tell(event("sound", **self.sound))
 
     def _publish(self, packet: StreamPacket) -> None:
         """Retain the packet that the hub has just accepted."""

@@ -30,7 +30,7 @@ from streamlod.server.stream.traces import FrameStages, Stage, StageTimer, Trace
 from streamlod.server.worker.camera_pictures import unpack_pictures
 from streamlod.server.worker.cluster.driver import run_on_ray
 from streamlod.server.worker.cluster.room import Shortage
-from streamlod.server.worker.ingest_report import complaint
+from streamlod.server.worker.ingest_report import complaint, sound_fault
 from streamlod.server.worker.process import Resume, Tag
 from streamlod.server.worker.supervisor import Ending, Supervisor
 
@@ -89,7 +89,7 @@ class WorkerStream(Stream):
         self.source, self.played_file = spec.source, spec.play
         self.loop = spec.play is not None and spec.loop
         sound = None if spec.play is None else find_sound(spec.play)
-        self.sound = None if sound is None else {"begin_ns": sound.begin_ns, "channels": sound.channels}
+        self.file_sound = None if sound is None else {"begin_ns": sound.begin_ns, "channels": sound.channels}
 
     @property
     def etag(self) -> str:
@@ -269,6 +269,8 @@ class WorkerStream(Stream):
         elif tag is Tag.PROGRESS:
             self.progress = json.loads(body)
             self._tell(event("progress", **(self.progress or {})))
+        elif tag is Tag.SOUND:
+            self._hear(body)
         elif tag is Tag.INGEST:
             self._on_ingest(json.loads(body))
         elif tag is Tag.PICTURES:
@@ -326,6 +328,7 @@ class WorkerStream(Stream):
         decoded = await self.hub.decode(packet)
         timer.end("decode")
         if record:
+            self.sound_track.record_until(packet.info.time_ns)
             await self.bus.record(packet)
             timer.end("retain")
         self._begin_epoch(packet)
@@ -382,7 +385,7 @@ class WorkerStream(Stream):
     def _enter_live(self) -> None:
         """Live, or degraded while a camera is missing."""
         fault = complaint(self.ingest) if self.ingest else ""
-        self._enter("degraded" if fault else "live", fault)
+        self._enter("degraded" if fault else "live", fault or (sound_fault(self.ingest) if self.ingest else ""))
 
     def _make_supervisor(self) -> Supervisor:
         settings = self._settings

@@ -142,6 +142,11 @@ class Delivery:
         self.counters.sent_bytes += size
         self.free_at = now + self._throttle.spend(size, now)
 
+    async def send_sound(self, message: BinaryMessage) -> None:
+        """Send a piece of sound, which viewers do not acknowledge."""
+        await self._transport.binary(message)
+        self.counters.sent_bytes += len(message.data)
+
     async def send_event(self, message: dict[str, Any]) -> None:
         """Send a control message."""
         await self._transport.text(json.dumps(message))

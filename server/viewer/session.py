@@ -28,6 +28,7 @@ from streamlod.server.viewer.pacing import Allowance, LevelControl
 from streamlod.server.viewer.playhead import Playhead
 from streamlod.server.viewer.relay_follower import RelayFollower
 from streamlod.server.viewer.replay import Replay
+from streamlod.server.viewer.sound import SoundSender
 from streamlod.server.viewer.together import Companion
 
 _LOG = logging.getLogger(__name__)
@@ -80,6 +81,8 @@ class ViewerSession:
         )
         transport.on_blocked(self._follower.leave_broadcast)
         self._replay = Replay(stream.bus, self._delivery, self._levels)
+        self._sound = SoundSender(stream.sound_track, self._delivery, self._notify)
+        self._sound.want(hello.sound)
         self._playhead = Playhead(None if self._relays else hello.start)
         self._tell_levels = False
         self._window_sent_at = now
@@ -146,7 +149,7 @@ class ViewerSession:
             return
         self._notify()
         match message:
-            case Set(levels, rate_kilobytes, given, speed):
+            case Set(levels, rate_kilobytes, given, speed, sound):
                 if "levels" in given:
                     self._levels.want(levels or _MAX_LEVELS, now)
                     self._tell_levels = True
@@ -154,6 +157,8 @@ class ViewerSession:
                     self._delivery.limit_rate(rate_kilobytes)
                 if "speed" in given:
                     self._replay.play_at(speed, now)
+                if "sound" in given:
+                    self._sound.want(sound)
             case Seek(to):
                 self._playhead.seek(to)
             case Pause():
@@ -202,6 +207,7 @@ class ViewerSession:
                     await self._idle()
         finally:
             stream.leave()
+            self._sound.want(False)
             self.companion.leave()
             self._follower.leave_broadcast()
             stream.hub.listeners.discard(self._notify)
@@ -241,7 +247,13 @@ class ViewerSession:
         if self._tell_levels:
             self._tell_levels = False
             await self._delivery.send_event(event("levels", levels=self._follower.shown_levels, reason="requested"))
-        if self._playhead.mode == "paused" or self._delivery.must_wait(now):
+        if self._playhead.mode == "paused":
+            return False
+        return await self._sound.step(is_live=self._playhead.mode == "live") or await self._go_on(now)
+
+    async def _go_on(self, now: float) -> bool:
+        """Send the next packet, if one is due."""
+        if self._delivery.must_wait(now):
             return False
         if now - self._window_sent_at >= _TICK_SECONDS and self._stream.window is not None:
             self._window_sent_at = now
@@ -264,6 +276,7 @@ class ViewerSession:
         if mode != "paused":
             self._follower.restart()
             self._replay.clear()
+            self._sound.restart()
         await self._delivery.send_event(event("position", mode=mode, **place.to_json(), clamped=clamped))
         if mode == "replay":
             await self._replay.load(place, lambda: not self._playhead.is_leaving)

@@ -25,3 +25,9 @@ def complaint(figures: dict[str, Any]) -> str:
             which = f"{len(lost)} of {len(cameras)} cameras are lost: {', '.join(lost)}"
         parts.insert(0, which + (f" ({'; '.join(faults)})" if faults else ""))
     return "; ".join(parts)
+
+
+def sound_fault(figures: dict[str, Any]) -> str:
+    """Why nothing is heard, in a sentence; empty where there is sound, or none is wanted. Pictures go on without."""
+    fault = figures.get("sound")
+    return fault if isinstance(fault, str) else ""

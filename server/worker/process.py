@@ -56,6 +56,7 @@ class Tag(IntEnum):
     INGEST = 9  # JSON: figures of live cameras, and whether training waits for them
     PICTURES = 10  # of `camera_pictures`
     PLACED = 11  # JSON: node of the cluster that the worker runs on
+    SOUND = 12  # a piece of live sound, of `codec.mp4.sound`
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,13 +188,18 @@ def train(
     """
     if job.frames is not None and start >= job.frames:
         return
+    from streamlod.codec.mp4.sound import SoundPiece, pack_piece
     from streamlod.server.pipeline.stages import open_job, train_stream
+
+    def give_sound(piece: SoundPiece) -> None:
+        with suppress(ConnectionError):  # the server has gone, which ends this process elsewhere
+            sender.send(Tag.SOUND, pack_piece(piece))
 
     def tell(progress: Any) -> None:
         body = {"fraction": float(progress.fraction), "loss": float(progress.loss), "text": str(progress.stage)}
         sender.send(Tag.PROGRESS, body)
 
-    opened, pictures = open_job(job, push_socket), None
+    opened, pictures = open_job(job, push_socket, give_sound), None
     if camera_pictures:
         pictures = CameraPictures(opened.dataset.upright)
         opened = replace(opened, on_read=pictures.note)

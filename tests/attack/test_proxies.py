@@ -114,7 +114,7 @@ def test_viewers_and_downloads_pass_a_real_proxy(tmp_path: Path, clip: Clip, pro
     settings = Settings(proxies=("127.0.0.1",))
     with running(settings, StreamSpec(play=clip.path)) as server, proxy(program, tmp_path, server.port) as port:
         server.wait(lambda stream: stream["state"] == "live")
-        behind = Running(server.registry, port)
+        behind = Running(server.registry, port, server.loop)
         with viewing(behind, additional_headers={"X-Forwarded-For": "203.0.113.9"}) as viewer:
             viewer.hello()
             viewer.until("caught_up")

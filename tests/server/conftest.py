@@ -20,6 +20,7 @@ from websockets.sync.client import ClientConnection, connect
 from streamlod.codec.container import SlodWriter
 from streamlod.codec.decoder import SceneDecoder
 from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.mp4.sound import SoundPiece, is_piece, read_piece
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.residual import difference
 from streamlod.server.api.registry import Registry
@@ -85,6 +86,7 @@ class Running:
 
     registry: Registry
     port: int
+    loop: asyncio.AbstractEventLoop
 
     @property
     def url(self) -> str:
@@ -122,7 +124,13 @@ def running(settings: Settings, *specs: StreamSpec, port: int = 0, confined: boo
     listener.bind(("127.0.0.1", port))
     listener.listen(256)
     server = Server(server_config(app, settings), app.state.registry, certificates_of(settings))
-    thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[listener])))
+    loops: list[asyncio.AbstractEventLoop] = []
+
+    async def serve() -> None:
+        loops.append(asyncio.get_running_loop())
+        await server.serve(sockets=[listener])
+
+    thread = threading.Thread(target=lambda: asyncio.run(serve()))
     thread.start()
     try:
         limit = time.monotonic() + 60
@@ -130,7 +138,7 @@ def running(settings: Settings, *specs: StreamSpec, port: int = 0, confined: boo
             assert time.monotonic() < limit
             assert thread.is_alive()
             time.sleep(0.01)
-        yield Running(app.state.registry, listener.getsockname()[1])
+        yield Running(app.state.registry, listener.getsockname()[1], loops[0])
     finally:
         server.should_exit = True
         thread.join(60)
@@ -144,6 +152,7 @@ class Viewer:
     def __init__(self, connection: ClientConnection, acknowledge: bool = True) -> None:
         self.connection, self.acknowledge = connection, acknowledge
         self.decoder = SceneDecoder()
+        self.sound: list[SoundPiece] = []
         self.events: list[dict[str, Any]] = []
         self.welcome: dict[str, Any] = {}
         self.received = self.packets = self._acknowledged = 0
@@ -166,6 +175,9 @@ class Viewer:
             event: dict[str, Any] = json.loads(message)
             self.events.append(event)
             return event
+        if is_piece(message):
+            self.sound.append(read_piece(message))
+            return message
         self.decoder.push(message)
         self.received += len(message)
         self.packets += 1
@@ -209,6 +221,11 @@ class Viewer:
             self.step()
         assert self.decoder.scene is not None
         return self.decoder.scene
+
+    def until_heard(self, time_ns: int) -> None:
+        """Step until there is sound up to a time."""
+        while not self.sound or self.sound[-1].end_ns < time_ns:
+            self.step()
 
     def named(self, name: str) -> list[dict[str, Any]]:
         return [event for event in self.events if event["event"] == name]

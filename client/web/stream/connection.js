@@ -7,6 +7,7 @@ import { Link } from "./link.js";
  * @property {(bytes: Uint8Array) => Promise<{ version: number, ms: number, filmedMs: number } | null>} packet - null where it was refused
  * @property {(version: number | null) => void} hold - show no picture before this version is reached; null: show what there is
  * @property {() => void} status
+ * @property {(piece: ArrayBuffer) => void} [sound] - a piece that came beside the packets
  * @property {(moments: { version: number, timeMs: number }[]) => void} [moments] - all that a file holds
  */
 
@@ -21,6 +22,7 @@ export class Connection extends Link {
     this.busy = false;
     this.ended = false;
     this.speed = 1;
+    this.sound = false; // wanted
     this.frozen = false; // paused: packets still on their way are not applied
     this.asked = true; // for a place, and not answered: packets belong to where we were
     /** @type {number | null} version at which to pause */
@@ -41,11 +43,18 @@ export class Connection extends Link {
 
   /** @param {object[]} messages */
   opened(messages) {
-    super.opened(this.speed === 1 ? messages : [...messages, { type: "set", speed: this.speed }]);
+    super.opened(this.speed === 1 && !this.sound ? messages : [...messages, { type: "set", speed: this.speed, sound: this.sound }]);
+  }
+
+  /** Whether sound is wanted from now on. @param {boolean} on */
+  listen(on) {
+    this.sound = on;
+    this.transmit([{ type: "set", sound: on }]);
   }
 
   /** @param {string | ArrayBuffer} data */
   hear(data) {
+    if (typeof data !== "string" && isSound(data)) return this.handlers.sound?.(data);
     if (typeof data !== "string") this.session.arrived(data.byteLength, performance.now());
     this.queue.push(typeof data === "string" ? data : new Uint8Array(data));
     this.#drain();
@@ -141,3 +150,8 @@ export class Connection extends Link {
     super.close();
   }
 }
+
+const FTYP = 0x66747970; // the kind of the first box of MP4, where a packet says how it is made
+
+/** Whether a message is a piece of sound. @param {ArrayBuffer} data */
+const isSound = (data) => data.byteLength > 8 && new DataView(data).getUint32(4) === FTYP;

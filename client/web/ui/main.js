@@ -112,13 +112,16 @@ async function start(viewer) {
     if (detail.version !== shown) refresh(); // the same frame from elsewhere changes nothing around it
     shown = detail.version;
   });
-  /** @param {string} address @param {number | null} beginMs */
+  /** @param {string | null} address - null for live sound @param {number | null} beginMs */
   const offerSound = async (address, beginMs) => {
     if (viewer.thin) return; // pictures that the server draws do not say when they were filmed
     const played = recording, { Sound } = await import("./sound.js");
     if (recording === played) viewer.sound ??= new Sound(viewer, timeline, address, token, beginMs);
   };
-  viewer.addEventListener("sound", (event) => recording || offerSound(`${place}/sound`, /** @type {CustomEvent} */ (event).detail.begin_ns / 1e6), { once: true });
+  viewer.addEventListener("sound", (event) => {
+    const { begin_ns, live } = /** @type {CustomEvent} */ (event).detail;
+    if (!recording && !viewer.sound) live ? offerSound(null, 0) : offerSound(`${place}/sound`, begin_ns / 1e6);
+  });
   viewer.addEventListener("moments", (event) => timeline.holds(/** @type {CustomEvent} */ (event).detail.moments));
   viewer.addEventListener("drawn", (event) => {
     const { ms, all } = /** @type {CustomEvent} */ (event).detail;

@@ -5,6 +5,7 @@
  * the screen; the element runs a little faster or slower to be there too, and jumps where that would take long.
  */
 
+import { LiveSound } from "../stream/sound.js";
 import { element } from "./page.js";
 
 const STEP_MS = 100; // from one correction to the next
@@ -19,12 +20,13 @@ const MOVING = ["live", "behind", "replay"]; // phases in which pictures go on b
 const MAX_TRIES = 2; // to load it, after the first
 const HEAD_BYTES = 4096; // both headers of the file
 const LINK_SECONDS = 24 * 3600;
+const NEAR_END = 0.05; // s, of what is held: an element that gets there stops
 
 export class Sound {
   /**
    * @param {import("../view/viewer.js").Viewer} viewer
    * @param {import("./timeline.js").Timeline} timeline
-   * @param {string} address - of an Ogg Opus file
+   * @param {string | null} address - of an Ogg Opus file; null for live sound, which comes with the pictures
    * @param {string | null} token - where the server of streams wants one
    * @param {number | null} beginMs - time of the first sample, on the clock of the pictures; null: as the file says
    */
@@ -34,6 +36,9 @@ export class Sound {
     this.address = address;
     this.token = token;
     this.beginMs = beginMs;
+    this.ends = new AbortController();
+    const { signal } = this.ends;
+    this.live = address === null ? new LiveSound(viewer, signal) : null;
     this.audio = new Audio();
     this.audio.preload = "auto";
     this.isOn = false;
@@ -48,8 +53,6 @@ export class Sound {
     this.volume.style.width = "64px";
     this.volume.oninput = () => (this.audio.volume = Number(this.volume.value));
     element("t-time").after(this.opener, this.volume);
-    this.ends = new AbortController();
-    const { signal } = this.ends;
     viewer.addEventListener("picture", (event) => this.#note(/** @type {CustomEvent} */ (event).detail), { signal });
     this.audio.addEventListener("error", () => this.isOn && this.#load(), { signal }); // perhaps the address has expired
     this.timer = setInterval(() => this.#step(performance.now()), STEP_MS);
@@ -86,7 +89,7 @@ export class Sound {
     if (!this.isOn) return;
     const isLate = now - shown.at > LATE_MS + LATE_PICTURES * shown.gap;
     const at = this.#filmed(now) - (this.beginMs ?? NaN), off = 1000 * audio.currentTime - at;
-    const isOutside = !(at >= 0) || at > 1000 * (audio.duration || Infinity);
+    const isOutside = this.live ? !isHeld(audio.buffered, at / 1000) : !(at >= 0) || at > 1000 * (audio.duration || Infinity);
     if (isLate || isOutside || this.timeline.stands || !MOVING.includes(viewer.status?.phase ?? "")) {
       audio.pause();
       if (isLate) this.clock = NaN;
@@ -105,6 +108,7 @@ export class Sound {
     if (this.tried++ > MAX_TRIES) return this.#turn(false);
     let query = "";
     try {
+      if (this.live || this.address === null) return this.live?.open(this.audio);
       this.beginMs ??= await beginOf(this.address);
       if (this.token) query = `?${await sign(this.address, this.token)}`;
       this.audio.src = this.address + query;
@@ -118,6 +122,7 @@ export class Sound {
     this.isOn = on;
     if (!on) this.audio.pause();
     else if (!this.audio.src) this.#load();
+    this.live?.turn(on);
     const name = on ? "Mute" : "Sound";
     Object.assign(this.opener, { title: name, ariaLabel: name, ariaPressed: String(on) });
     this.opener.querySelector("path")?.setAttribute("d", `M4 9.5v5h3.5L12 19V5L7.5 9.5z${on ? "M15 9a4 4 0 0 1 0 6M17.5 6.5a8 8 0 0 1 0 11" : "M15.5 9.5l5 5M20.5 9.5l-5 5"}`);
@@ -133,6 +138,12 @@ export class Sound {
     this.opener.remove();
     this.volume.remove();
   }
+}
+
+/** Whether there is sound at a time. @param {TimeRanges} ranges @param {number} at - s */
+function isHeld(ranges, at) {
+  for (let i = 0; i < ranges.length; i++) if (ranges.start(i) <= at && at < ranges.end(i) - NEAR_END) return true;
+  return false;
 }
 
 /** When a file begins, ms: a comment in its first bytes says so. @param {string} address */

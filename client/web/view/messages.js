@@ -11,6 +11,7 @@
  *   | { type: "view", view: import("./engine.js").EngineView }
  *   | { type: "send", messages: object[] }
  *   | { type: "wishes", wishes: Wishes }
+ *   | { type: "listen", on: boolean }
  *   | { type: "hurry" } | { type: "texture" } | { type: "close" }
  *   | { type: "pick" | "depth", id: number, origin: Vec3, direction: Vec3 }
  *   | { type: "inspect", id: number }} ToWorker
@@ -27,6 +28,7 @@
  *   | ({ type: "scene" } & SceneFacts)
  *   | { type: "status", status: Status, refusals: number, now: number }
  *   | { type: "refused", code: string, detail: string }
+ *   | { type: "heard", piece: ArrayBuffer }
  *   | { type: "moments", moments: { version: number, timeMs: number }[] }
  *   | { type: "picked", id: number, point: Vec3 | null }
  *   | { type: "inspected", id: number, state: Inspection | null }} FromWorker

@@ -124,7 +124,10 @@ function hold(version) {
 /** @param {{ version: number, timeMs: number }[]} list */
 const moments = (list) => tell({ type: "moments", moments: list });
 
-const handlers = { packet: decode, hold, status, moments };
+/** @param {ArrayBuffer} piece */
+const sound = (piece) => tell({ type: "heard", piece }, [piece]);
+
+const handlers = { packet: decode, hold, status, sound, moments };
 
 /** Watch a file; what plays it is loaded now. @type {(url: string, token: string | null, loop: boolean) => Promise<void>} */
 async function playFile(url, token, loop) {
@@ -157,6 +160,9 @@ self.onmessage = ({ data: message }) => {
     case "wishes":
       if (source) source.session.wishes = message.wishes;
       source?.send([{ type: "set", ...message.wishes }]);
+      break;
+    case "listen":
+      if (source instanceof Connection) source.listen(message.on);
       break;
     case "hurry":
       source?.hurry();

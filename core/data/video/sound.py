@@ -7,6 +7,7 @@ import logging
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import av.audio.stream
@@ -30,12 +31,13 @@ def sound_channels(path: Path) -> int | None:
         InputError: the file cannot be opened, or its sound is of a rate or a number of channels that is refused.
     """
     with _opened(path) as container:
-        stream = _stream_of(container)
+        stream = sound_of(container)
         if stream is None:
             return None
-        if not _RATES[0] <= stream.rate <= _RATES[1] or not 1 <= stream.channels <= _MAX_CHANNELS:
-            fault = f"its sound has {stream.rate} samples a second and {stream.channels} channels"
-            raise InputError(path, f"{fault}; {_RATES[0]} to {_RATES[1]} and 1 to {_MAX_CHANNELS} can be used")
+        try:
+            _check(stream.rate, stream.channels)
+        except InputError as error:
+            raise InputError(path, f"its sound {error.fault}") from error
         return min(stream.channels, 2)
 
 
@@ -55,9 +57,14 @@ def filmed_sound(path: Path, rate: int, begin_ns: int, count: int) -> Iterator[I
     if channels is None:
         raise InputError(path, "has no sound")
     done = 0
+    origin = Fraction(begin_ns, 1_000_000_000)
+    placer = Placer(rate, channels, -origin)
     with _opened(path) as container:
+        stream = sound_of(container)
+        assert stream is not None
+        timed = ((None if time is None else time - origin, frame) for time, frame in timed_sound(container, stream))
         try:
-            for begin, block in _placed(container, rate, channels, begin_ns):
+            for begin, block in (each for time, frame in timed for each in placer.put(frame, time)):
                 skipped = max(done - begin, 0)
                 if skipped >= len(block):
                     continue
@@ -73,28 +80,74 @@ def filmed_sound(path: Path, rate: int, begin_ns: int, count: int) -> Iterator[I
     yield from _silence(count - done, channels, rate)
 
 
-def _placed(
-    container: av.container.InputContainer, rate: int, channels: int, begin_ns: int
-) -> Iterator[tuple[int, Int16]]:
-    """Blocks with the number of their first sample from `begin_ns` on; a file's small wavering of times is no gap."""
-    stream = _stream_of(container)
-    assert stream is not None
-    origin = Fraction(begin_ns, 1_000_000_000)
-    if container.format.name in OWN_CLOCK and container.start_time is not None:
-        origin += Fraction(container.start_time, av.time_base)
-    layout = "mono" if channels == 1 else "stereo"
-    resampler = av.AudioResampler("s16", layout=layout, rate=rate)
-    at: Fraction | None = None  # time of the next sample, from the beginning that is wanted
+class Placer:
+    """Resamples the frames of a decoder, and tells when each block of samples was recorded.
+
+    Small wavering of the frames' times is no gap: samples follow one another until they are 20 ms off.
+
+    Args:
+        rate: samples a second of what comes out.
+        channels: 1 or 2.
+        begin: time of a first frame that has none, in seconds.
+    """
+
+    def __init__(self, rate: int, channels: int, begin: Fraction = Fraction(0)) -> None:
+        self._rate, self._channels = rate, channels
+        self._resampler: av.AudioResampler | None = None
+        self._form: tuple[object, ...] = ()
+        self._at = begin  # time of the next sample
+
+    def put(self, frame: av.AudioFrame, time: Fraction | None) -> Iterator[tuple[int, Int16]]:
+        """The samples [N, channels] of a frame, each block with the number of its first, counted from time 0.
+
+        Args:
+            time: of the frame's first sample, in seconds; None where it follows the one before.
+
+        Raises:
+            InputError: a rate or a number of channels that is refused.
+        """
+        form = frame.format.name, frame.layout.name, frame.sample_rate
+        off = None if time is None else abs(time - self._at)
+        if self._resampler is None or form != self._form or (off is not None and off > _TOLERANCE_S):
+            _check(frame.sample_rate, frame.layout.nb_channels)
+            self._resampler = av.AudioResampler("s16", "mono" if self._channels == 1 else "stereo", self._rate)
+            self._form, self._at = form, self._at if time is None else time
+        for part in self._resampler.resample(frame):
+            block = np.asarray(part.to_ndarray(), np.int16).reshape(-1, self._channels)
+            yield round(self._at * self._rate), block
+            self._at += Fraction(len(block), self._rate)
+
+
+def sound_of(container: av.container.InputContainer) -> av.audio.stream.AudioStream | None:
+    """The first sound that can be decoded; None without."""
+    known = (each for each in container.streams.audio if getattr(each, "codec_context", None) is not None)
+    return next(known, None)
+
+
+def timed_sound(
+    container: av.container.InputContainer, stream: av.audio.stream.AudioStream
+) -> Iterator[tuple[Fraction | None, av.AudioFrame]]:
+    """The decoded sound of a file, with its time in seconds from the file's beginning as players count it, if known.
+
+    Raises:
+        av.FFmpegError: the file cannot be read on.
+    """
+    own = container.format.name in OWN_CLOCK and container.start_time is not None
+    origin = Fraction(container.start_time, av.time_base) if own and container.start_time else Fraction(0)
     for frame in container.decode(stream):
-        if frame.pts is not None and frame.time_base is not None:
-            time = frame.pts * frame.time_base - origin
-            if at is None or abs(time - at) > _TOLERANCE_S:
-                resampler, at = av.AudioResampler("s16", layout=layout, rate=rate), time
-        at = -origin if at is None else at
-        for part in resampler.resample(frame):
-            block = np.asarray(part.to_ndarray(), np.int16).reshape(-1, channels)
-            yield round(at * rate), block
-            at += Fraction(len(block), rate)
+        time = None if frame.pts is None or frame.time_base is None else frame.pts * frame.time_base - origin
+        yield time, frame
+
+
+def decoded_sound(packet: av.Packet[Any]) -> Iterator[av.AudioFrame]:
+    """The sound in a packet of a live source; none where it does not decode, as silence is put in its place."""
+    try:
+        frames: list[Any] = packet.decode()
+    except av.FFmpegError:
+        return
+    for frame in frames:
+        assert isinstance(frame, av.AudioFrame)
+        yield frame
 
 
 def _silence(count: int, channels: int, rate: int) -> Iterator[Int16]:
@@ -105,10 +158,10 @@ def _silence(count: int, channels: int, rate: int) -> Iterator[Int16]:
         count -= part
 
 
-def _stream_of(container: av.container.InputContainer) -> av.audio.stream.AudioStream | None:
-    """The first sound that can be decoded."""
-    known = (each for each in container.streams.audio if getattr(each, "codec_context", None) is not None)
-    return next(known, None)
+def _check(rate: int, channels: int) -> None:
+    if not _RATES[0] <= rate <= _RATES[1] or not 1 <= channels <= _MAX_CHANNELS:
+        fault = f"has {rate} samples a second and {channels} channels"
+        raise InputError("sound", f"{fault}; {_RATES[0]} to {_RATES[1]} and 1 to {_MAX_CHANNELS} can be used")
 
 
 @contextlib.contextmanager

@@ -14,7 +14,13 @@ OPEN_SECONDS = 10.0
 SILENCE_SECONDS = 8.0  # a connection without data for so long counts as dead
 _MAX_LENGTH = 2048
 _LIVE = {"fflags": "nobuffer", "probesize": "200000", "analyzeduration": "500000"}
-_DEVICE = re.compile(r"/dev/video\d{1,3}")
+_DEVICES = {  # what FFmpeg opens by a name of this machine; ALSA's may name files otherwise
+    "v4l2": (re.compile(r"/dev/video\d{1,3}"), "names no camera; write v4l2:///dev/video0"),
+    "alsa": (
+        re.compile(r"/(default|sysdefault|pulse|pipewire|(plug)?hw:\d{1,2}(,\d{1,2})?)"),
+        "names no microphone; write alsa:///default or alsa:///hw:1,0",
+    ),
+}
 _PROTOCOLS = {  # protocols that FFmpeg may open; a playlist must not lead to files
     "rtsp": "rtsp,rtp,rtcp,udp,tcp",
     "rtsps": "rtsps,rtsp,rtp,rtcp,tls,tcp",
@@ -32,7 +38,9 @@ _LISTENING = {
 }
 _FORMATS = "mpegts,mpjpeg,mjpeg,flv,matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,h264,hevc"
 _CONFINED = {name: {"max_redirects": "0", "format_whitelist": _FORMATS} for name in ("http", "https")}  # no playlist
-SCHEMES = "a file, rtsp, rtsps, rtmp, http, https, udp, tcp, srt, v4l2 or push, or rtsp, rtmp, http or tcp with +listen"
+SCHEMES = (
+    "a file, rtsp, rtsps, rtmp, http, https, udp, tcp, srt, v4l2, alsa or push, or rtsp, rtmp, http or tcp with +listen"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +49,7 @@ class Address:
 
     Attributes:
         url: as FFmpeg takes it; empty for push.
-        scheme: file, push, srt, v4l2, or a network protocol.
+        scheme: file, push, srt, v4l2, alsa, or a network protocol.
         listens: whether the camera connects to us.
         format: of the container, where FFmpeg has to be told.
         options: for FFmpeg's demuxer.
@@ -88,14 +96,12 @@ def parse_address(source: str) -> Address:
         raise InputError(f"source {source!r:.80}", f"is not a URL ({error})") from error
     base, _, mode = parts.scheme.partition("+")
     listens = mode == "listen" and base in _LISTENING
-    if (mode and not listens) or base not in {*_PROTOCOLS, "push", "srt", "v4l2"}:
+    if (mode and not listens) or base not in {*_PROTOCOLS, *_DEVICES, "push", "srt"}:
         raise InputError(f"source {source!r:.80}", f"has an unknown scheme; use {SCHEMES}")
     if base == "push":
         return _push()
-    if base == "v4l2":
-        if not _DEVICE.fullmatch(parts.path):
-            raise InputError(f"source {source!r:.80}", "names no camera; write v4l2:///dev/video0")
-        return Address(parts.path, "v4l2", format="v4l2")
+    if base in _DEVICES:
+        return _device(source, base, parts.path)
     if not place:
         raise InputError(f"source {source!r:.80}", "names no host")
     url = source.replace("+listen", "", 1) if listens else source
@@ -140,3 +146,10 @@ def webcam_options(fps: float, size: tuple[int, int] | None) -> dict[str, str]:
 
 def _push() -> Address:
     return Address("", "push")
+
+
+def _device(source: str, scheme: str, path: str) -> Address:
+    form, fault = _DEVICES[scheme]
+    if not form.fullmatch(path):
+        raise InputError(f"source {source!r:.80}", fault)
+    return Address(path if scheme == "v4l2" else path[1:], scheme, format=scheme)

@@ -29,6 +29,7 @@ from streamlod.core.data.pictures import MAX_SIDE
 from streamlod.core.errors import InputError
 from streamlod.core.frames import PointCloud
 from streamlod.server.ingest.cameras.address import Address, parse_address
+from streamlod.server.ingest.cameras.sound_source import SoundSource, choose_sound
 
 MAX_CAMERAS = 255  # of a scene header (codec/FORMAT.md)
 _MAX_BYTES = 1 << 20
@@ -60,6 +61,7 @@ class _File(_Strict):
     realtime: bool = True
     calibration: Path | None = None
     depth_bounds: tuple[float, float] | None = None
+    sound: str | None = Field(default=None, min_length=1, max_length=2048)
     cameras: Annotated[tuple[_CameraEntry, ...], Field(min_length=1, max_length=MAX_CAMERAS)]
 
 
@@ -77,6 +79,7 @@ class RigDefinition:
         space: from the calibration's coordinates to those of training.
         depth_bounds: nearest and farthest depth of the scene in the calibration's units, or none.
         read_points: reads the points that came with the calibration into a space, or none.
+        sound: what is heard; None for nothing.
     """
 
     path: Path
@@ -88,6 +91,7 @@ class RigDefinition:
     realtime: bool = True
     depth_bounds: tuple[float, float] | None = None
     read_points: Callable[[Similarity], PointCloud] | None = None
+    sound: SoundSource | None = None
 
 
 def read_definition(source: Path | dict[str, Any]) -> RigDefinition:
@@ -119,7 +123,8 @@ def read_definition(source: Path | dict[str, Any]) -> RigDefinition:
         cameras = tuple(_known(path, entry, known) for entry in file.cameras)
         bounds = bounds or recording.depth_bounds
     space = training_space(calibrated, bounds)
-    return RigDefinition(path, cameras, addresses, file.fps, quorum, space, file.realtime, bounds, read_points)
+    sound = _sound(path, file, addresses)
+    return RigDefinition(path, cameras, addresses, file.fps, quorum, space, file.realtime, bounds, read_points, sound)
 
 
 def read_uncalibrated(path: Path) -> RigDefinition:
@@ -158,7 +163,21 @@ def _read(source: Path | dict[str, Any]) -> tuple[Path, _File]:
 
 
 def _addresses(path: Path, file: _File) -> tuple[Address, ...]:
-    return tuple(parse_address(_beside(path, entry.source)) for entry in file.cameras)
+    found = tuple(parse_address(_beside(path, entry.source)) for entry in file.cameras)
+    for entry, address in zip(file.cameras, found, strict=True):
+        if address.scheme == "alsa":
+            raise InputError(path, f"camera {entry.name} is a microphone; name it in the field sound")
+    return found
+
+
+def _sound(path: Path, file: _File, addresses: tuple[Address, ...]) -> SoundSource | None:
+    if file.sound is None:
+        return None
+    cameras = {entry.name: address for entry, address in zip(file.cameras, addresses, strict=True)}
+    found = choose_sound(path, file.sound, cameras, _beside(path, file.sound))
+    if not file.realtime and found.address is not None and found.address.is_live:
+        raise InputError(path, "realtime can be false only where the sound is of a file, too")
+    return found
 
 
 def _beside(path: Path, source: str) -> str:

@@ -47,8 +47,8 @@ def open_source(
 def _srt_pipe(url: str) -> Iterator[subprocess.Popen[bytes]]:
     """FFmpeg reads SRT, which PyAV's library can't, and hands MPEG-TS on."""
     command = ["ffmpeg", "-nostdin", "-loglevel", "error", "-fflags", "nobuffer", "-probesize", "200000",
-               "-analyzeduration", "500000", "-i", url, "-map", "0:v:0", "-c", "copy", "-muxdelay", "0",
-               "-flush_packets", "1", "-f", "mpegts", "pipe:1"]  # fmt: skip
+               "-analyzeduration", "500000", "-i", url, "-map", "0:v:0?", "-map", "0:a:0?", "-c", "copy",
+               "-muxdelay", "0", "-flush_packets", "1", "-f", "mpegts", "pipe:1"]  # fmt: skip
     try:
         # unbuffered: filling a buffer would take seconds of a small stream
         pipe = subprocess.Popen(command, bufsize=0, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL)

@@ -13,7 +13,8 @@ from streamlod.core.data.announced import AnnouncedPicture, announced_picture
 from streamlod.core.data.pictures import decode
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.reader import max_pixels
-from streamlod.server.ingest.push.message import Codec, PushMessage
+from streamlod.server.ingest.push.message import SOUND_CODECS, Codec, PushMessage
+from streamlod.server.ingest.push.sound import PushedSound
 from streamlod.server.ingest.sync.clock import CaptureClock, CaptureTime, ClockSource, Sighting
 from streamlod.server.ingest.sync.picture import Picture
 
@@ -48,6 +49,12 @@ class PushTarget(Protocol):
     def put(self, picture: Picture) -> None:
         """A picture has come."""
 
+    def hears(self, camera: str) -> bool:
+        """Whether the camera's sound is wanted."""
+
+    def put_sound(self, frame: av.AudioFrame, capture_ns: int) -> None:
+        """Sound of that camera has come, recorded from `capture_ns` on."""
+
     def note_decoded(self, camera: str, fault: str = "") -> None:
         """A picture of a camera was decoded, or could not be, for the reason `fault`."""
 
@@ -67,9 +74,10 @@ class Intake:
         self._newest: dict[str, int] = {}
         self._clocks: dict[str, CaptureClock] = {}
         self._decoders: dict[str, av.VideoCodecContext] = {}
+        self._sounds: dict[str, PushedSound] = {}
 
     def accept(self, message: PushMessage) -> None:
-        """Give the message's picture to the rig; a repeated one is ignored.
+        """Give the message's picture or sound to the rig; a repeated one is ignored.
 
         Raises:
             InputError: no such camera is pushed, another node has taken it over, or the picture is not one, or of
@@ -78,6 +86,9 @@ class Intake:
         size = self._target.pushed.get(message.camera)
         if size is None:
             raise InputError(f"camera {message.camera!r:.80}", "is not one of the rig's that are pushed")
+        if message.codec in SOUND_CODECS:
+            self._hear(message)
+            return
         try:
             self._accept(message, size)
         except InputError as error:
@@ -102,10 +113,23 @@ class Intake:
             self._put(message, size, found.capture_ns, found, lambda: _pixels(still, camera))
         self._newest[message.camera] = message.sequence
 
+    def _hear(self, message: PushMessage) -> None:
+        """Sound counts only beside pictures, so that it is of who holds the camera."""
+        camera = message.camera
+        if not self._target.hears(camera):
+            raise InputError(f"camera {camera}", "is not the one whose sound the rig wants")
+        if not self._target.holds(camera, self):
+            return
+        sound = self._sounds.setdefault(camera, PushedSound(camera))
+        for frame, capture_ns in sound.decoded(message, self._target.now_ns):
+            self._target.put_sound(frame, capture_ns)
+
     def wanted(self) -> dict[str, Any]:
-        """The rig's rate as `fps`, and `cameras` that are pushed: name, width, height, and whether one is `taken`."""
+        """The rig's rate as `fps`, and `cameras` that are pushed: name, width, height, whether one is `taken`, and
+        whether its `sound` is wanted."""
+        hears, is_held = self._target.hears, self._target.is_held
         cameras = [
-            {"name": name, "width": width, "height": height, "taken": self._target.is_held(name)}
+            {"name": name, "width": width, "height": height, "taken": is_held(name), "sound": hears(name)}
             for name, (width, height) in self._target.pushed.items()
         ]
         return {"fps": self._target.fps, "cameras": cameras}

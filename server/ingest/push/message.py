@@ -1,11 +1,13 @@
-"""Pictures that capture nodes push: one binary message each, parsed before anything is decoded. No I/O in here.
+"""Pictures and sound that capture nodes push: one binary message each, parsed before anything is decoded. No I/O here.
 
-A message is the header's length (2 bytes, big-endian), the header (a msgpack map) and the encoded picture:
+A message is the header's length (2 bytes, big-endian), the header (a msgpack map) and the encoded picture or sound:
 
     camera      name in the rig's definition
     sequence    counts the camera's pictures; a number that isn't higher than the last is a repeat and is skipped
     capture_ns  when it was taken, nanoseconds since 1970; null where `sequence` is a genlocked rig's frame number
-    codec       jpeg, png, or h264 (one access unit, Annex B, parameter sets before each keyframe)
+    codec       jpeg, png, or h264 (one access unit, Annex B, parameter sets before each keyframe);
+                of sound opus (one packet) or pcm (16 bits, little-endian, one channel, 48 kHz), which have numbers of
+                their own, and `capture_ns` of the first sample
 """
 
 from __future__ import annotations
@@ -33,15 +35,20 @@ class Codec(StrEnum):
     JPEG = "jpeg"
     PNG = "png"
     H264 = "h264"
+    OPUS = "opus"
+    PCM = "pcm"
+
+
+SOUND_CODECS = frozenset({Codec.OPUS, Codec.PCM})
 
 
 @dataclass(frozen=True, slots=True)
 class PushMessage:
-    """One pushed picture.
+    """One pushed picture, or sound.
 
     Attributes:
         camera, sequence, capture_ns, codec: the header's fields, see the module.
-        body: the encoded picture.
+        body: the encoded picture or sound.
         received: the whole message as it came, to be passed on; None for one that was made here.
     """
 
@@ -89,7 +96,7 @@ def _checked(fields: Any, message: bytes, header: int) -> PushMessage:
     if capture is not None and not _is_number(capture, _MAX_CAPTURE_NS):
         raise SessionError(CloseCode.BAD_MESSAGE, "capture_ns must be null or an integer, nanoseconds since 1970")
     if codec not in set(Codec):
-        raise SessionError(CloseCode.BAD_MESSAGE, "codec must be jpeg, png or h264")
+        raise SessionError(CloseCode.BAD_MESSAGE, f"codec must be one of {', '.join(Codec)}")
     return PushMessage(camera, sequence, capture, Codec(codec), message[header:], message)
 
 

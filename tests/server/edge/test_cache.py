@@ -174,5 +174,5 @@ def viewers_of(server: Running) -> int:
 
 @contextmanager
 def through(proxy: Proxy) -> Iterator[Viewer]:
-    with viewing(Running(None, proxy.port), max_queue=None) as viewer:  # type: ignore[arg-type]
+    with viewing(Running(None, proxy.port, None), max_queue=None) as viewer:  # type: ignore[arg-type]
         yield viewer.hello()

@@ -50,15 +50,23 @@ def number_of(image: UInt8) -> int:
     return sum(1 << bit for bit in range(_BITS) if image[4:12, bit * block + 3 : (bit + 1) * block - 3].mean() > 128)
 
 
-def write_definition(folder: Path, sources: list[str], policy: object = "require_all", **fields: object) -> Path:
+def write_definition(
+    folder: Path,
+    sources: list[str],
+    policy: object = "require_all",
+    *,
+    size: tuple[int, int] = (WIDTH, HEIGHT),
+    **fields: object,
+) -> Path:
     """A rig's file for cameras that see fake clips."""
+    width, height = size
     cameras = [
         {
             "name": f"cam{row}",
             "source": source,
-            "width": WIDTH,
-            "height": HEIGHT,
-            "intrinsics": [[150, 0, WIDTH / 2], [0, 150, HEIGHT / 2], [0, 0, 1]],
+            "width": width,
+            "height": height,
+            "intrinsics": [[150, 0, width / 2], [0, 150, height / 2], [0, 0, 1]],
             "world_to_camera": [[1, 0, 0, 0.1 * row], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]],
         }
         for row, source in enumerate(sources)

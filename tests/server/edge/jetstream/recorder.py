@@ -22,7 +22,7 @@ from tests.server.edge.processes import Node
 @contextmanager
 def recording(port: int, packets: list[bytes]) -> Iterator[Viewer]:
     """A viewer that asks for every packet as it was published, and decodes each; they are added to `packets`."""
-    with viewing(Running(None, port), max_queue=None) as viewer:  # type: ignore[arg-type]
+    with viewing(Running(None, port, None), max_queue=None) as viewer:  # type: ignore[arg-type]
         viewer.hello(relay=True)
         ended = threading.Event()
 

@@ -1,0 +1,1 @@
+"""The sound of a live rig: heard, stamped by the clock of its pictures, and encoded."""
