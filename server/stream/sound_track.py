@@ -30,7 +30,7 @@ class HeldPiece:
 
     @cached_property
     def message(self) -> BinaryMessage:
-        """Of the live websocket."""
+        """The message of the live websocket."""
         return BinaryMessage(pack_piece(self.piece))
 
 
@@ -53,7 +53,7 @@ class SoundTrack:
 
     @property
     def facts(self) -> dict[str, int | bool] | None:
-        """What is told of it: `begin_ns` of the oldest piece in memory, `channels`, `live`; None without any."""
+        """Facts that are told: `begin_ns` of the oldest piece in memory, `channels`, `live`; None without any."""
         if not self._held:
             return None
         oldest = self._held[0].piece
