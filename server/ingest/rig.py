@@ -285,9 +285,10 @@ class Rig:
             )
 
     def _wait_for_pictures(self, capture_ns: int) -> None:
-        """Sound of an unpaced file does not run ahead of the pictures."""
+        """Sound of an unpaced file does not run ahead of the pictures, nor they of it."""
         with self._change:
             if not self._paced:
+                self._change.notify_all()
                 lead = _LEAD * period_of(self._fps)
                 self._change.wait_for(lambda: self._stopped or self._is_over() or capture_ns <= self._virtual_ns + lead)
 
@@ -307,7 +308,8 @@ class Rig:
         known = [ns for ns in newest if ns is not None]
         if len(known) < len(newest) or len(self._instants) > _LEAD:
             return False
-        return capture_ns - min(known, default=capture_ns) <= _LEAD * period_of(self._fps)
+        heard = capture_ns if self._hearing is None else self._hearing.reached_ns
+        return capture_ns - min(*known, heard, capture_ns) <= _LEAD * period_of(self._fps)
 
     def _is_over(self) -> bool:
         """Whether no instant can come any more: all files have ended, or too many of them without one picture."""

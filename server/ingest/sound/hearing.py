@@ -20,6 +20,7 @@ from streamlod.server.ingest.sync.timeline import Timeline
 
 _LOG = logging.getLogger(__name__)
 _PIECE_PACKETS = 10  # 200 ms: pictures are older than that before anybody sees them
+_NEVER_NS = 2**63
 _DEAD_NS = 10_000_000_000  # without a sound, after which it is worth a word
 
 
@@ -31,6 +32,9 @@ class Hearing:
         give: takes each piece.
         timeline: the rig's.
         wait: called with the time of sound that is to be given on; waits where that is too early.
+
+    Attributes:
+        reached_ns: time of the newest sound that came; later than any once none comes.
     """
 
     def __init__(
@@ -49,9 +53,11 @@ class Hearing:
         self._came_ns = self._loud_ns = timeline.now_ns()
         self._reason = ""
         self._told = ""
+        self.reached_ns = 0
 
     def put(self, frame: av.AudioFrame, capture_ns: int) -> None:
         """Sound has come, whose first sample was recorded at `capture_ns`."""
+        self.reached_ns = capture_ns
         self._wait(capture_ns)
         with self._lock:
             try:
@@ -67,6 +73,8 @@ class Hearing:
         """The source gives no sound for now."""
         with self._lock:
             self._reason = reason
+        self.reached_ns = _NEVER_NS
+        self._wait(0)  # for nothing; pictures may wait for this
 
     def fault(self) -> str:
         """Why nothing is heard, in a sentence; empty where there is sound."""
