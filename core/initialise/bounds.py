@@ -10,7 +10,7 @@ from streamlod.core.camera import Camera
 from streamlod.core.errors import InputError
 from streamlod.core.initialise.consistency import Trust, trusted
 from streamlod.core.initialise.equalise import with_equal_means
-from streamlod.core.initialise.sweep import DepthMap, sweep_views
+from streamlod.core.initialise.stereo.sweep import DepthMap, sweep_views
 from streamlod.core.initialise.views import WorkingViews, inside, project, unproject
 
 COARSE_HEIGHT, COARSE_PLANES = 120, 96

@@ -12,7 +12,7 @@ from streamlod.core.initialise.consistency import Trust, consistent_points
 from streamlod.core.initialise.equalise import equalised, with_equal_means
 from streamlod.core.initialise.method import PointSources
 from streamlod.core.initialise.methods.combined import merged
-from streamlod.core.initialise.sweep import sweep_views
+from streamlod.core.initialise.stereo.sweep import sweep_views
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from streamlod.core.arrays import Bool, Float32, Float64, Int64
 from streamlod.core.frames import PointCloud
-from streamlod.core.initialise.sweep import DepthMap
+from streamlod.core.initialise.stereo.sweep import DepthMap
 from streamlod.core.initialise.views import WorkingViews, inside, project
 
 MAX_POINTS = 200_000  # that a cloud keeps: far more than a first frame has anchors

@@ -13,7 +13,7 @@ import numpy as np
 
 from streamlod.core.arrays import Float64
 from streamlod.core.initialise.consistency import Trust, trusted
-from streamlod.core.initialise.sweep import DepthMap
+from streamlod.core.initialise.stereo.sweep import DepthMap
 from streamlod.core.initialise.views import WorkingViews, inside, project
 
 _DARKEST, _BRIGHTEST = 0.05, 0.95  # colours between these say something about a gain

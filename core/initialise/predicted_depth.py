@@ -18,7 +18,7 @@ from streamlod.core.camera import Camera
 from streamlod.core.errors import InputError
 from streamlod.core.frames import PointCloud
 from streamlod.core.initialise.consistency import consistent_points
-from streamlod.core.initialise.sweep import DepthMap
+from streamlod.core.initialise.stereo.sweep import DepthMap
 from streamlod.core.initialise.views import WorkingViews, inside, pixel_centres
 
 _PATCH = 14  # DINOv2, which VGGT and Depth Anything 3 begin with, takes pictures whose sides are multiples of this

@@ -28,7 +28,7 @@ from streamlod.core.data import Dataset, linspace_split
 from streamlod.core.initialise.confidence.evidence import Matches, evidence
 from streamlod.core.initialise.consistency import knowing, votes
 from streamlod.core.initialise.methods.plane_sweep import PlaneSweep
-from streamlod.core.initialise.sweep import DepthMap
+from streamlod.core.initialise.stereo.sweep import DepthMap
 from streamlod.core.initialise.views import WorkingViews, working_views
 from streamlod.core.synthetic import open_synthetic, render_frame
 from tests.bench.zoo.scenes import SCENES, ZooScene

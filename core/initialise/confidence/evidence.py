@@ -16,8 +16,8 @@ from scipy.ndimage import uniform_filter
 from streamlod.core.arrays import Bool, Float32, Float64
 from streamlod.core.initialise.confidence.witness import MARGINS, SAME, Surfaces, nearest, surfaces, witness
 from streamlod.core.initialise.consistency import pieces
-from streamlod.core.initialise.patches import SlantedMap
-from streamlod.core.initialise.sweep import DepthMap, neighbours
+from streamlod.core.initialise.stereo.patches import SlantedMap
+from streamlod.core.initialise.stereo.sweep import DepthMap, neighbours
 from streamlod.core.initialise.views import WorkingViews
 
 CUES = (

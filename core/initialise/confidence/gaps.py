@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from streamlod.core.arrays import Bool
-from streamlod.core.initialise.sweep import DepthMap
+from streamlod.core.initialise.stereo.sweep import DepthMap
 from streamlod.core.initialise.views import inside, project
 
 _BEHIND = 0.05  # relative depth by which a point must lie behind a trusted surface not to belong to it

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 
 from streamlod.core.arrays import Bool, Float32, Float64
-from streamlod.core.initialise.patches import SlantedMap
+from streamlod.core.initialise.stereo.patches import SlantedMap
 from streamlod.core.initialise.views import WorkingViews, inside, project
 
 SAME = 0.02  # relative difference of depths that agree

@@ -16,7 +16,7 @@ from streamlod.core.initialise.confidence.witness import SAME
 from streamlod.core.initialise.consistency import knowing, points_of, votes
 from streamlod.core.initialise.method import PointSources
 from streamlod.core.initialise.methods.plane_sweep import PlaneSweep
-from streamlod.core.initialise.patch_kernel import UNSEEN
+from streamlod.core.initialise.stereo.patch_kernel import UNSEEN
 
 _FEWEST = 3  # views that the network has learnt from
 _ROUNDS = 2  # what only confirms others must be confirmed itself

@@ -12,8 +12,8 @@ from streamlod.core.initialise.confidence.evidence import Matches
 from streamlod.core.initialise.consistency import Trust, confirmed, points_of, trusted_pixels
 from streamlod.core.initialise.equalise import equalised, with_equal_means
 from streamlod.core.initialise.method import PointSources
-from streamlod.core.initialise.patches import Search, slanted
-from streamlod.core.initialise.sweep import plane_count, sweep_views
+from streamlod.core.initialise.stereo.patches import Search, slanted
+from streamlod.core.initialise.stereo.sweep import plane_count, sweep_views
 from streamlod.core.initialise.views import WorkingViews
 
 _SWEEP_SHARE = 0.4  # of the time

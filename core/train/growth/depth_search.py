@@ -13,7 +13,7 @@ import torch
 
 from streamlod.core.arrays import Float32, Float64, Int64
 from streamlod.core.camera import Camera
-from streamlod.core.initialise.sweep import pair_geometry
+from streamlod.core.initialise.stereo.sweep import pair_geometry
 from streamlod.core.initialise.views import unproject
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.kernels.windows import best_depths

@@ -13,8 +13,8 @@ from streamlod.core.initialise import METHODS, first_points
 from streamlod.core.initialise.consistency import Trust, in_large_pieces, trusted, votes
 from streamlod.core.initialise.equalise import equalised
 from streamlod.core.initialise.method import PointSources
-from streamlod.core.initialise.sweep import DepthMap, plane_count, sweep_views
-from streamlod.core.initialise.sweep_kernel import best_planes
+from streamlod.core.initialise.stereo.sweep import DepthMap, plane_count, sweep_views
+from streamlod.core.initialise.stereo.sweep_kernel import best_planes
 from streamlod.core.initialise.views import WorkingViews, working_views
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
 from tests.bench.first_points_bench import score_points

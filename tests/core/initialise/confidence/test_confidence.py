@@ -17,8 +17,8 @@ from streamlod.core.initialise.confidence.gaps import in_gaps
 from streamlod.core.initialise.confidence.network import Confidence, usual_confidence
 from streamlod.core.initialise.methods.learned import LearnedSweep
 from streamlod.core.initialise.methods.plane_sweep import PlaneSweep
-from streamlod.core.initialise.patch_kernel import UNSEEN
-from streamlod.core.initialise.patches import SlantedMap
+from streamlod.core.initialise.stereo.patch_kernel import UNSEEN
+from streamlod.core.initialise.stereo.patches import SlantedMap
 from streamlod.core.initialise.views import WorkingViews, working_views
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
 from tests.core.initialise.test_patches import BOUNDS, floor_picture

@@ -11,7 +11,7 @@ import torch
 
 from streamlod.core.arrays import Float32, Float64
 from streamlod.core.camera import Camera
-from streamlod.core.initialise.sweep import pair_geometry
+from streamlod.core.initialise.stereo.sweep import pair_geometry
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
 from streamlod.core.train.growth.depth_search import best_planes, inverse_depths, matched_pixels
 from streamlod.core.train.kernels.windows import HALF, UNSEEN

@@ -1,4 +1,4 @@
-"""The compiled half of `core.initialise.patches`: what a slanted window costs, and one pass of looking for better ones.
+"""The compiled half of `core.initialise.stereo.patches`: costs of slanted windows, and a pass that finds better ones.
 
 A plane is seen by a pinhole camera with an inverse depth that is linear in the pixels: d + a dx + b dy round a pixel.
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from streamlod.core.arrays import Float32, Float64
 from streamlod.core.camera import Camera
-from streamlod.core.initialise.sweep_kernel import best_planes, cost_volume
+from streamlod.core.initialise.stereo.sweep_kernel import best_planes, cost_volume
 from streamlod.core.initialise.views import WorkingViews, pixel_centres, unproject
 
 _NEIGHBOURS, _BEST = 4, 2

@@ -9,8 +9,8 @@ import pytest
 
 from streamlod.core.arrays import Float32, Float64
 from streamlod.core.camera import Camera, look_at, pinhole
-from streamlod.core.initialise import patch_kernel
-from streamlod.core.initialise.patch_kernel import (
+from streamlod.core.initialise.stereo import patch_kernel
+from streamlod.core.initialise.stereo.patch_kernel import (
     COLOUR_CLAMP,
     COLOUR_SCALE,
     FLAT,
@@ -21,8 +21,8 @@ from streamlod.core.initialise.patch_kernel import (
     UNSEEN,
     Pairs,
 )
-from streamlod.core.initialise.patches import slanted
-from streamlod.core.initialise.sweep import pair_geometry, sweep_views
+from streamlod.core.initialise.stereo.patches import slanted
+from streamlod.core.initialise.stereo.sweep import pair_geometry, sweep_views
 from streamlod.core.initialise.views import WorkingViews, pixel_centres, unproject
 
 WIDTH, HEIGHT = 64, 48
