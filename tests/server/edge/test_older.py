@@ -58,7 +58,7 @@ asyncio.run(run(sys.argv[1], int(sys.argv[2])))
 
 @pytest.fixture(scope="module")
 def older(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The older version's code."""
+    """The older version's code, its kernels compiled: else each of its processes would do that, side by side."""
     command = ["git", "-C", ROOT, "archive", "--format=zip", OLDER, "core", "codec", "server", "client"]
     archive = subprocess.run(command, capture_output=True, check=False)
     if archive.returncode:
@@ -66,6 +66,8 @@ def older(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("older")
     with zipfile.ZipFile(io.BytesIO(archive.stdout)) as packed:
         packed.extractall(folder)
+    warm = "import core; from codec.warm import warm_up; warm_up()"  # in the order of a server: settings, then Numba
+    subprocess.run([sys.executable, "-c", warm], cwd=folder, env=os.environ | {"PYTHONPATH": str(folder)}, check=True)
     return folder
 
 
