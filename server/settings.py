@@ -167,9 +167,7 @@ class Settings(_Strict):
         default="text", description="lines of the log: for people, or JSON objects for programs"
     )
     access_log: bool = Field(default=False, description="a line of the log for every HTTP request")
-    state: Path | None = Field(
-        default=None, description="folder of recordings and catalogue; nothing is recorded without"
-    )
+    state: Path | None = Field(default=None, description="folder of recordings; nothing is recorded without")
     tokens: Path | None = Field(default=None, description="token file; without one everybody may do everything")
     jwt_key: Path | None = Field(default=None, description="file with the HS256 secret or the Ed25519 public key (PEM)")
     jwks: str | None = Field(default=None, description="JSON web key set: a file, or an https address that is fetched")

@@ -1,4 +1,4 @@
-"""Jobs: what is trained, and how. Plain values, which are sent to the worker process and kept in the catalogue as JSON.
+"""Jobs: what is trained, and how. Plain values, which are sent to the worker process and kept in `stream.json`.
 
 The fields of `TrainJob` are the one declaration of their names, bounds, defaults and help (`core.options`).
 """

@@ -1,4 +1,4 @@
-"""Specifications of streams: plain values, which are sent to the worker process and kept in the catalogue."""
+"""Specifications of streams: plain values, which are sent to the worker process and kept in `stream.json`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings on disk: one append-only `.slod` file for each group of pictures (GOP), and a catalogue of them.
+"""Recordings on disk: one append-only `.slod` file for each group of pictures (GOP).
 
 All writing happens on one thread. A packet goes to viewers when it is written, so that a recording holds whatever a
 viewer got (see `server.stream.bus`). Live streaming survives a failure: a full disk stops the recording and is
@@ -13,7 +13,6 @@ import logging
 import os
 import re
 import shutil
-import sqlite3
 import sys
 import threading
 import time
@@ -47,13 +46,6 @@ _T = TypeVar("_T")
 _SEGMENT = re.compile(r"(\d{6,10})-(\d{10})\.slod")
 _OWN_NAMES = re.compile(r"stream\.(json|new|damaged)|\d{6,10}-\d{10}\.slod\.opus")
 _STREAM = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
-_SCHEMA = """
-CREATE TABLE IF NOT EXISTS segments(
-  stream TEXT NOT NULL, epoch INTEGER NOT NULL, first INTEGER NOT NULL, last INTEGER NOT NULL,
-  packets INTEGER NOT NULL, bytes INTEGER NOT NULL, begun_ns INTEGER NOT NULL, file_bytes INTEGER NOT NULL,
-  PRIMARY KEY(stream, epoch, first));
-"""
-_COLUMNS = "stream, epoch, first, last, packets, bytes, begun_ns, file_bytes"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +56,7 @@ class Segment:
         path: its `.slod` file.
         first, last: positions of its keyframe and of its newest packet.
         packets, size_bytes: count and sum of sizes of its packets.
-        begun_ns: Unix time of its keyframe.
+        begun_ns: Unix time of its keyframe; of a group of an earlier run as the times of its file and packets tell.
         begun: monotonic time of its keyframe [s]; used for retention, as the system clock may be set.
         closed: whether it has its index and will not change.
     """
@@ -87,7 +79,7 @@ class Store:
         retention: what to keep.
 
     Raises:
-        InputError: the folder or its catalogue cannot be used.
+        InputError: the folder cannot be used.
     """
 
     def __init__(self, folder: Path, retention: Retention) -> None:
@@ -97,7 +89,6 @@ class Store:
             self._lock = _lock(folder)
             (folder / "streams").mkdir(exist_ok=True, mode=PRIVATE_FOLDER)
             self.seal = Seal(folder / "secret.key")
-            self._catalogue = _open_catalogue(folder / "catalogue.sqlite3")
         except OSError as error:
             fault = f"cannot hold recordings ({error.strerror or error})"
             mend = f"give the folder to user {os.getuid()}, or " if isinstance(error, PermissionError) else ""
@@ -112,11 +103,6 @@ class Store:
     def submit(self, work: Callable[[], None]) -> Future[None]:
         """Do `work` on the recording thread, later."""
         return self._thread.submit(work)
-
-    def execute(self, statement: str, values: tuple[Any, ...]) -> list[tuple[Any, ...]]:
-        """One catalogue statement, committed."""
-        with self._catalogue:
-            return self._catalogue.execute(statement, values).fetchall()
 
     def recording(self, stream: str) -> Recording:
         """The recording of a stream, repaired if the last run was interrupted; what fails is its `fault`."""
@@ -145,11 +131,10 @@ class Store:
         return usage.free > usage.total * self.retention.reserve_fraction
 
     def close(self) -> None:
-        """Finish queued work, close all open segments and the catalogue."""
+        """Finish queued work, close all open segments."""
         for recording in self._recordings:
             self._thread.submit(recording.finish)
         self._thread.shutdown(wait=True)
-        self._catalogue.close()
         os.close(self._lock)
 
     def retain(self) -> None:
@@ -244,7 +229,7 @@ class Recording:
                 self.lost_packets += 1
                 return
             self._writer.append(packet.data)
-        except (OSError, sqlite3.Error, StorageError) as error:
+        except (OSError, StorageError) as error:
             self.lost_packets += 1
             self._stop(error)
             self._abandon()
@@ -297,8 +282,7 @@ class Recording:
         try:
             writer.close()
             self.segments[-1] = replace(self.segments[-1], closed=True)
-            self._enter(self.segments[-1])
-        except (OSError, sqlite3.Error) as error:  # it can be read without its index, and is repaired at the next start
+        except OSError as error:  # it can be read without its index, and is repaired at the next start
             self._stop(error)
 
     def _stop(self, error: Exception) -> None:
@@ -315,8 +299,8 @@ class Recording:
             writer.close()
         segment = self.segments.pop()
         repaired = None
-        with contextlib.suppress(OSError, sqlite3.Error):
-            repaired = self._repair(segment.path, segment.begun_ns)
+        with contextlib.suppress(OSError):
+            repaired = self._restored(segment.path)
         if repaired is not None:
             self.segments.append(repaired)
 
@@ -334,56 +318,34 @@ class Recording:
             old += newest
         try:
             self._delete(old)
-        except (OSError, sqlite3.Error) as error:
+        except OSError as error:
             _LOG.warning("stream %s: old segments cannot be deleted: %s", self._stream, error)
 
     def _delete(self, segments: list[Segment]) -> None:
         for segment in segments:
             for path in (segment.path, sound_beside(segment.path)):
                 path.unlink(missing_ok=True)
-            key = (self._stream, segment.first.epoch, segment.first.version)
-            self._store.execute("DELETE FROM segments WHERE stream = ? AND epoch = ? AND first = ?", key)
         self.segments = [s for s in self.segments if s not in segments]
 
-    def _enter(self, s: Segment) -> None:
-        place = (self._stream, s.first.epoch, s.first.version, s.last.version)
-        values = (*place, s.packets, s.size_bytes, s.begun_ns, s.path.stat().st_size)
-        self._store.execute("INSERT OR REPLACE INTO segments VALUES (?, ?, ?, ?, ?, ?, ?, ?)", values)
-
     def _restore(self) -> list[Segment]:
-        """Segments on disk; those that differ from the catalogue were cut short by a crash and are repaired."""
-        statement = "SELECT epoch, first, last, packets, bytes, begun_ns, file_bytes FROM segments WHERE stream = ?"
-        known = {(row[0], row[1]): row for row in self._store.execute(statement, (self._stream,))}
-        segments = []
+        """Segments on disk; those that were cut short by a crash are repaired."""
+        segments: list[Segment] = []
         for path in sorted(self._folder.iterdir()):
-            match = _SEGMENT.fullmatch(path.name)
-            if match is None or not path.is_file():
-                if not _OWN_NAMES.fullmatch(path.name):
-                    _LOG.warning("stream %s: %s is none of its recordings and is left alone", self._stream, path)
-                continue
-            epoch, first = int(match[1]), int(match[2])
-            row = known.pop((epoch, first), None)
-            stat = path.stat()
-            if row is not None and row[6] == stat.st_size:
-                place = Position(epoch, first), Position(epoch, row[2])
-                segments.append(Segment(path, *place, row[3], row[4], row[5], _monotonic(row[5]), True))
-                continue
-            segments += filter(None, [self._repair(path, stat.st_mtime_ns)])
-        with contextlib.suppress(sqlite3.Error):
-            for epoch, first in known:
-                statement = "DELETE FROM segments WHERE stream = ? AND epoch = ? AND first = ?"
-                self._store.execute(statement, (self._stream, epoch, first))
+            if _SEGMENT.fullmatch(path.name) and path.is_file():
+                segments += filter(None, [self._restored(path)])
+            elif not _OWN_NAMES.fullmatch(path.name):
+                _LOG.warning("stream %s: %s is none of its recordings and is left alone", self._stream, path)
         return segments
 
-    def _repair(self, path: Path, begun_ns: int) -> Segment | None:
-        """Cut off an incomplete packet and write the index, where these are not as they should be.
+    def _restored(self, path: Path) -> Segment | None:
+        """A segment on disk; where a crash cut it short, the incomplete packet is cut off and the index written.
 
         Without a whole keyframe: None, and no file, if it was cut short; a file that cannot be read is left alone.
         """
+        written_ns = path.stat().st_mtime_ns
         try:
             with SlodReader(path) as reader:
-                entries = reader.entries
-                is_whole = not reader.torn and reader.records_end < path.stat().st_size
+                entries, is_whole = reader.entries, reader.is_whole
         except (BitstreamError, InputError, OSError) as error:
             entries, is_whole, fault = (), False, str(error)
         else:
@@ -396,18 +358,17 @@ class Recording:
             else:
                 _LOG.warning("stream %s: %s is left alone: %s", self._stream, path.name, fault)
             return None
+        if not is_whole:
+            try:
+                SlodWriter(path, live=True).close()
+                os.utime(path, ns=(written_ns, written_ns))
+            except OSError as error:  # it can be read without; the next start tries again
+                _LOG.warning("stream %s: %s cannot be repaired now (%s)", self._stream, path.name, error)
         epoch = int(path.stem.split("-")[0])
         first, last = Position(epoch, entries[0].to_version), Position(epoch, entries[-1].to_version)
         size = sum(entry.size_bytes for entry in entries)
-        segment = Segment(path, first, last, len(entries), size, begun_ns, _monotonic(begun_ns), True)
-        try:
-            if not is_whole:
-                SlodWriter(path, live=True).close()
-                os.utime(path, ns=(begun_ns, begun_ns))
-            self._enter(segment)
-        except (OSError, sqlite3.Error) as error:  # it can be read without; the next start tries again
-            _LOG.warning("stream %s: %s cannot be repaired now (%s)", self._stream, path.name, error)
-        return segment
+        begun_ns = max(0, written_ns - max(0, entries[-1].time_ns - entries[0].time_ns))
+        return Segment(path, first, last, len(entries), size, begun_ns, _monotonic(begun_ns), True)
 
 
 def _is_cut_short(path: Path) -> bool:
@@ -421,42 +382,6 @@ def _is_cut_short(path: Path) -> bool:
         return head == FILE_HEAD and len(start) + SIZE.unpack(size)[0] > path.stat().st_size
     except OSError:
         return False
-
-
-def _open_catalogue(path: Path) -> sqlite3.Connection:
-    """The catalogue; one that is damaged or of another version is set aside, and made again from the files.
-
-    Where the disk takes none, it is in memory: all it saves is looking into the files.
-    """
-    try:
-        try:
-            return _catalogue_at(path)
-        except sqlite3.DatabaseError as error:
-            if isinstance(error, sqlite3.OperationalError) and "no such column" not in str(error):
-                raise  # the disk is full, or cannot be read or written
-            _LOG.warning("%s cannot be used (%s); it is kept as %s.damaged and made again", path, error, path.stem)
-            for suffix in ("-wal", "-shm"):
-                path.with_name(path.name + suffix).unlink(missing_ok=True)
-            path.replace(path.with_suffix(".damaged"))
-            return _catalogue_at(path)
-    except (OSError, sqlite3.OperationalError) as error:
-        _LOG.warning("%s cannot be opened (%s); until the next start there is one in memory", path, error)
-        return _catalogue_at(":memory:")
-
-
-def _catalogue_at(path: Path | str) -> sqlite3.Connection:
-    if isinstance(path, Path):
-        os.close(os.open(path, os.O_CREAT | os.O_WRONLY, PRIVATE_FILE))
-        path.chmod(PRIVATE_FILE)  # what SQLite keeps beside it gets the same
-    connection = sqlite3.connect(path, check_same_thread=False)
-    try:
-        connection.execute("PRAGMA journal_mode=WAL")
-        connection.executescript(_SCHEMA)
-        connection.execute(f"SELECT {_COLUMNS} FROM segments").fetchall()  # all, which finds what is damaged
-    except sqlite3.Error:
-        connection.close()
-        raise
-    return connection
 
 
 def _lock(folder: Path) -> int:

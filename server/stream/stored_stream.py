@@ -1,7 +1,6 @@
 """The file that a state folder keeps of a stream beside its recordings: `streams/ID/stream.json`, for its owner alone.
 
-It is the only copy of what the stream is made from. The catalogue holds nothing that is not in the files, so it can be
-deleted.
+It is the only copy of what the stream is made from.
 """
 
 from __future__ import annotations

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ from typing import Any
 import pytest
 
 from streamlod.codec.container import SlodReader
+from streamlod.codec.packet.info import peek
 from streamlod.core.errors import InputError
 from streamlod.server.protocol.packets import Position, StreamPacket, stream_packet
 from streamlod.server.settings import Retention
@@ -91,12 +94,17 @@ def test_a_segment_without_a_whole_keyframe_is_deleted(tmp_path: Path) -> None:
     assert not path.exists()
 
 
-def test_a_lost_catalogue_is_made_again(tmp_path: Path) -> None:
+def test_groups_of_an_earlier_run_are_as_old_as_they_were(tmp_path: Path) -> None:
+    """A file's time is that of its last packet; its packets tell how long before it began."""
     packets = packets_of(tmp_path)
     record(tmp_path / "state", packets)
-    for path in (tmp_path / "state").glob("catalogue*"):
-        path.unlink()
-    assert stored(reopened(tmp_path / "state")) == [packet.data for packet in packets]
+    first = min((tmp_path / "state").rglob("*.slod"))
+    hour_ago = time.time_ns() - 3600 * 10**9
+    os.utime(first, ns=(hour_ago, hour_ago))
+    lasted = peek(packets[3].data).time_ns - peek(packets[0].data).time_ns
+    segments = reopened(tmp_path / "state").segments
+    assert segments[0].begun_ns == hour_ago - lasted
+    assert 3590 < segments[1].begun - segments[0].begun < 3700
 
 
 def test_retention_by_bytes_and_age_keeps_the_newest(tmp_path: Path) -> None:

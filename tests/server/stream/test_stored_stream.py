@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import sqlite3
 from pathlib import Path
 
 import pytest
 
+from streamlod.codec.container import SlodWriter
 from streamlod.server.settings import Retention
-from streamlod.server.stream.store import Recording, Store
+from streamlod.server.stream.store import Store
 from streamlod.server.stream.stored_stream import StoredStream, read_stored, write_stored
 from tests.server.conftest import Clip
 
@@ -54,29 +54,8 @@ def test_a_stream_that_is_known_writes_nothing_at_the_start(tmp_path: Path) -> N
     assert (before.st_mtime_ns, before.st_ino) == (after.st_mtime_ns, after.st_ino)
 
 
-@pytest.mark.parametrize("kind", ["garbage", "other columns"])
-def test_a_strange_catalogue_is_set_aside_and_made_again(tmp_path: Path, kind: str) -> None:
-    Store(tmp_path, Retention()).close()
-    path = tmp_path / "catalogue.sqlite3"
-    path.unlink()
-    if kind == "garbage":
-        path.write_bytes(b"no database" * 1000)
-    else:
-        connection = sqlite3.connect(path)
-        connection.execute("CREATE TABLE segments(stream TEXT)")
-        connection.commit()
-        connection.close()
-    content = path.read_bytes()
-    store = Store(tmp_path, Retention())
-    assert store.recording("a").segments == []
-    store.close()
-    kept = (tmp_path / "catalogue.damaged").read_bytes()
-    assert kept == content or (kind == "other columns" and b"segments(stream TEXT)" in kept)
-
-
-@pytest.mark.parametrize("fault", [OSError(28, "No space left on device"), sqlite3.OperationalError("disk is full")])
 def test_a_group_that_cannot_be_repaired_is_played_all_the_same(
-    tmp_path: Path, clip: Clip, monkeypatch: pytest.MonkeyPatch, fault: Exception
+    tmp_path: Path, clip: Clip, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A group that was cut short by a crash gets its index when there is room."""
     store = Store(tmp_path, Retention())
@@ -85,11 +64,12 @@ def test_a_group_that_cannot_be_repaired_is_played_all_the_same(
     cut = tmp_path / "streams" / "a" / "000001-0000000000.slod"
     cut.write_bytes(clip.path.read_bytes()[:-1000])
 
-    def full(*_: object) -> None:
-        raise fault
+    def full(writer: SlodWriter) -> None:
+        writer._file.close()
+        raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Recording, "_enter", full)
+        patch.setattr(SlodWriter, "close", full)
         store = Store(tmp_path, Retention())
         recording = store.recording("a")
         assert (len(recording.segments), recording.stored.definition) == (1, {"play": "x"})
@@ -120,30 +100,15 @@ def test_groups_that_this_version_cannot_read_are_left_alone(tmp_path: Path, cli
     assert found == kept | {"000007-0000000000.slod": whole}
 
 
-def test_a_whole_group_is_not_written_again_without_a_catalogue(tmp_path: Path, clip: Clip) -> None:
+def test_a_whole_group_is_not_written_again(tmp_path: Path, clip: Clip) -> None:
     with_folder(tmp_path)
     path = tmp_path / "streams" / "a" / "000001-0000000000.slod"
     path.write_bytes(clip.path.read_bytes())
-    (tmp_path / "catalogue.sqlite3").unlink()
     before = path.stat()
     store = Store(tmp_path, Retention())
     assert len(store.recording("a").segments) == 1
     store.close()
     assert (path.stat().st_mtime_ns, path.stat().st_ino) == (before.st_mtime_ns, before.st_ino)
-
-
-def test_a_catalogue_that_is_damaged_in_its_middle_is_made_again(tmp_path: Path) -> None:
-    store = Store(tmp_path, Retention())
-    for epoch in range(400):
-        store.execute("INSERT INTO segments VALUES (?, ?, 0, 0, 0, 0, 0, 0)", (f"s{epoch:050}", epoch))
-    store.close()
-    path = tmp_path / "catalogue.sqlite3"
-    data = path.read_bytes()
-    path.write_bytes(data[:8192] + b"\xff" * 12288 + data[20480:])
-    store = Store(tmp_path, Retention())
-    assert store.recording("a").segments == []
-    store.close()
-    assert (tmp_path / "catalogue.damaged").exists()
 
 
 def test_an_empty_key_that_a_full_disk_left_is_made_anew(tmp_path: Path) -> None:
