@@ -11,8 +11,8 @@ const SILENCE_MS = 15_000; // of the server, after which a connection counts as 
 /** Close codes after which another attempt cannot help. */
 const FINAL = new Set([1008, 1009, 4400, 4401, 4403, 4404, 4415]);
 
-/** @typedef {{ name: string, width: number, height: number, taken: boolean }} WantedCamera */
-/** @typedef {"jpeg" | "h264"} Codec */
+/** @typedef {{ name: string, width: number, height: number, taken: boolean, sound?: boolean }} WantedCamera */
+/** @typedef {"jpeg" | "h264" | "opus" | "pcm"} Codec */
 
 /** One message: the length of the header, the header in msgpack, the picture. @param {string} camera - of ASCII characters @param {number} sequence @param {number} captureMs - Unix time @param {Codec} codec @param {Uint8Array} picture */
 export function pack(camera, sequence, captureMs, codec, picture) {

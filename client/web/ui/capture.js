@@ -3,6 +3,7 @@
 import { PushLink } from "../stream/push.js";
 import { devices, openCamera } from "../view/device.js";
 import { Filming } from "../view/filming.js";
+import { Microphone } from "../view/microphone.js";
 import { button, element } from "./page.js";
 
 const MAX_REFUSALS = 10; // of pictures one after the other, then filming ends
@@ -17,6 +18,9 @@ const choice = /** @type {HTMLSelectElement} */ (element("device"));
 
 /** @type {Filming | null} */
 let filming = null;
+/** @type {Microphone | null} */
+let microphone = null;
+let silence = ""; // why there is no sound, where it is wanted
 let trouble = ""; // why filming ended
 let chosen = options.get("camera"); // name of the camera that this is to be
 const link = openLink();
@@ -49,20 +53,33 @@ function fillNames() {
 
 async function start() {
   trouble = "";
-  filming?.stop(); // many phones open one camera at a time
-  filming = null;
+  end(); // many phones open one camera at a time
   try {
-    const media = await openCamera(choice.value, link.cameras.find(({ name }) => name === names.value) ?? FULL_SIZE, link.fps);
+    const wanted = link.cameras.find(({ name }) => name === names.value), size = wanted ?? FULL_SIZE;
+    const silent = () => openCamera(choice.value, size, link.fps, false);
+    const media = await (wanted?.sound ? openCamera(choice.value, size, link.fps, true).catch(silent) : silent());
     video.srcObject = media;
     video.hidden = false;
     await video.play();
     filming = new Filming(link, video, media, names.value, options.get("codec") === "jpeg", tell);
+    if (wanted?.sound) listen(media, wanted.name);
     filming.track.onended = () => stop("The camera was taken away by another program.");
     await fillDevices(filming.track.getSettings().deviceId ?? "");
   } catch (error) {
     stop(refusalOf(error));
   }
   tell();
+}
+
+/** Send the sound of `media`, too. @param {MediaStream} media @param {string} name */
+function listen(media, name) {
+  silence = media.getAudioTracks().length ? "" : "No sound is sent: the browser may not use the microphone, or there is none.";
+  if (silence) return;
+  microphone = new Microphone(media, options.get("sound") === "pcm", (takenMs, codec, sound) => link.hasRoom && link.send(name, takenMs, codec, sound));
+  microphone.ready.catch(() => {
+    silence = "No sound is sent: this browser gives none.";
+    tell();
+  });
 }
 
 /** @param {unknown} error */
@@ -81,10 +98,16 @@ async function fillDevices(chosen) {
   choice.value = chosen;
 }
 
+function end() {
+  filming?.stop();
+  microphone?.stop();
+  filming = microphone = null;
+  silence = "";
+}
+
 /** @param {string} why */
 function stop(why) {
-  filming?.stop();
-  filming = null;
+  end();
   video.hidden = true;
   trouble = why;
   fillNames();
@@ -110,6 +133,7 @@ function notes() {
   if (hold.ariaPressed === "true" && held?.free.length) found.push(`This browser does not hold: ${held.free.join(", ")}.`);
   if (!awake) found.push("Keep the screen on: this browser does not do it.");
   if (rates.filmed && rates.filmed < SLOW * link.fps) found.push(`The camera gives ${rates.filmed.toFixed(0)} pictures a second; the stream wants ${link.fps}.`);
+  if (silence) found.push(silence);
   if (rates.dropped) found.push("The line or this device is too slow: pictures are left out.");
   return found;
 }
@@ -145,6 +169,7 @@ function showFigures() {
   const { clock, counts } = link, known = clock.count > 0;
   const facts = {
     Picture: `${filming?.size ?? ""}, ${filming?.encoder?.codec ?? "none yet"}`,
+    Sound: microphone ? (microphone.encoder ? "Opus" : "samples") : "none",
     Sent: `${rates.sent.toFixed(0)} a second, ${((rates.bytes * 8) / 1e6).toFixed(1)} Mbit/s`,
     "Left out": `${dropped}`,
     Refused: counts.refused ? `${counts.refused}: ${link.refusal}` : "0",

@@ -10,11 +10,14 @@ const HOLDABLE = [
 /** @typedef {{ id: string, label: string }} Device */
 /** @typedef {{ held: string[], free: string[] }} Held - by name: what stays as it is, and what the browser may change */
 
-/** @param {string} deviceId - empty for the rear one @param {{ width: number, height: number }} size @param {number} fps */
-export function openCamera(deviceId, { width, height }, fps) {
+/** As rooms sound: what calls need would change it. @type {MediaTrackConstraints} */
+const SOUND = { channelCount: { ideal: 1 }, echoCancellation: false, noiseSuppression: false, autoGainControl: false };
+
+/** @param {string} deviceId - empty for the rear one @param {{ width: number, height: number }} size @param {number} fps @param {boolean} sound - of its microphone, too */
+export function openCamera(deviceId, { width, height }, fps, sound) {
   const long = Math.max(width, height), short = Math.min(width, height); // phones count along the sensor, however they are held
   return navigator.mediaDevices.getUserMedia({
-    audio: false,
+    audio: sound && SOUND,
     video: {
       width: { ideal: long }, height: { ideal: short }, frameRate: { ideal: fps },
       .../** @type {MediaTrackConstraints} */ ({ resizeMode: "none" }), // as the sensor gives them: no upright picture is cropped to one across

@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from streamlod.codec.sound.opus import read_sound
+from streamlod.codec.sound.packets import write_packets
 from streamlod.core.calibration.walk import open_walk
 from streamlod.server.auth.gate import hash_token
 from streamlod.server.cli.rig import find, watch
@@ -99,6 +101,55 @@ def test_two_phones_film_one_scene_in_step(phone: Any, codec: str) -> None:
     for before, here, after in zip(frames, frames[1:], frames[2:], strict=False):  # both see the same moving scene
         one, two = here.images.astype(int)
         assert np.abs(one - two).mean() < min(np.abs(one - each.images[1]).mean() for each in (before, after))
+
+
+@pytest.mark.parametrize("codec", ["opus", "pcm"])
+def test_a_phone_whose_sound_is_wanted_sends_it(phone: Any, codec: str, tmp_path: Path) -> None:
+    """The fake microphone beeps; other phones are asked for no sound."""
+    definition = rig((WIDTH, HEIGHT), 2, sound="phone1")
+    with (
+        stage(Settings(), definition) as found,
+        opened(phone, found.page(f"&camera=phone2&sound={codec}")) as silent,
+        opened(phone, found.page(f"&camera=phone1&sound={codec}")) as page,
+    ):
+        for each in (silent, page):
+            says(each, "Ready to film")
+            each.click("#film")
+            says(each, "Filming as phone")
+        limit = time.monotonic() + 60
+        while not found.heard or found.heard[-1].end_ns - found.heard[0].begin_ns < 4e9:
+            assert time.monotonic() < limit, found.dataset.statistics()
+            time.sleep(0.05)
+        pieces, now_ns = list(found.heard), time.time_ns()
+        page.wait_for_function("document.querySelector('#figures dd') !== null")
+        assert figure(page, "Sound") == ("Opus" if codec == "opus" else "samples")
+        assert figure(silent, "Sound") == "none"
+        assert figure(page, "Refused") == "0"
+        statistics = found.dataset.statistics()
+    assert statistics is not None
+    assert statistics.sound == ""
+    assert 0 < now_ns - pieces[-1].end_ns < 5e9
+    write_packets(tmp_path / "heard.opus", pieces[0].settings, [p for piece in pieces for p in piece.packets])
+    samples = np.concatenate(list(read_sound(tmp_path / "heard.opus")))
+    loud = np.abs(samples.astype(int)).max(axis=1) > 1000
+    assert 0.01 < loud.mean() < 0.7, "beeps, and silence between them"
+
+
+def test_a_phone_without_a_microphone_films_on(phone: Any) -> None:
+    with stage(Settings(), rig((WIDTH, HEIGHT), 1, sound="phone1")) as found, opened(phone, "about:blank") as page:
+        page.add_init_script(
+            "const ask = navigator.mediaDevices.getUserMedia.bind(navigator.mediaDevices);"
+            "navigator.mediaDevices.getUserMedia = async (wanted) => {"
+            "  if (wanted.audio) throw new DOMException('denied', 'NotAllowedError');"
+            "  return ask(wanted);"
+            "};"
+        )
+        page.goto(found.page())
+        says(page, "Ready to film")
+        page.click("#film")
+        says(page, "Filming as phone1")
+        page.get_by_text("No sound is sent").wait_for()
+        assert len(found.wait(5)) == 5
 
 
 def test_the_page_says_how_it_films_and_what_it_cannot_hold(phone: Any) -> None:

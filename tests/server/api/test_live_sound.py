@@ -11,7 +11,7 @@ from streamlod.codec.mp4.sound import is_piece, pack_piece, read_piece
 from streamlod.codec.sound.beside import look_at_sound
 from streamlod.core.errors import BitstreamError
 from streamlod.server.pipeline.spec import StreamSpec
-from streamlod.server.settings import Retention, Settings
+from streamlod.server.settings import EdgeSettings, Retention, Settings
 from tests.clicks import heard_at
 from tests.server.conftest import Clip, Running, running, viewing
 from tests.server.sounds import hear, pieces
@@ -99,6 +99,21 @@ def test_sound_is_kept_beside_the_recording_and_goes_with_it(slow_clip: Clip, tm
             assert heard_at(tmp_path / "heard.opus") == pytest.approx(range(10), abs=0.01)
             assert client.delete("/v1/recordings/main?epoch=1").status_code == 204
         assert not any(path.exists() for path in (*sounds, first, second))
+
+
+def test_an_edge_passes_sound_on(server: Running, tmp_path: Path) -> None:
+    edge = EdgeSettings(origin=server.url, poll_seconds=0.1)
+    with running(Settings(edge=edge)) as second:
+        second.wait(lambda stream: stream.get("state") == "live")
+        with viewing(second) as viewer:
+            viewer.hello(sound=True)
+            viewer.until("caught_up")
+            hear(server, pieces(12.0))
+            viewer.until_heard(6 * SECOND_NS)
+        second.wait(lambda stream: stream["sound"] is not None and stream["sound"]["live"])
+        with second.client() as client:
+            (tmp_path / "heard.opus").write_bytes(client.get(f"{PATH}?from_ns=4500000000&to_ns=6500000000").content)
+    assert heard_at(tmp_path / "heard.opus") == pytest.approx([5, 6], abs=0.01)
 
 
 def test_what_is_no_piece_is_refused() -> None:

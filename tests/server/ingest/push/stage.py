@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+from streamlod.codec.mp4.sound import SoundPiece
 from streamlod.core.frames import FrameSet
 from streamlod.server.ingest.live import LiveDataset, open_live
 from streamlod.server.settings import Settings
@@ -17,7 +18,7 @@ from tests.server.conftest import Running, running
 FPS, WIDTH, HEIGHT = 20, 320, 240
 
 
-def rig(size: tuple[int, int], phones: int, quorum: int = 1) -> dict[str, Any]:
+def rig(size: tuple[int, int], phones: int, quorum: int = 1, **fields: object) -> dict[str, Any]:
     """Phones side by side in front of a scene."""
     width, height = size
     fixed = {"width": width, "height": height, "intrinsics": [[300, 0, width / 2], [0, 300, height / 2], [0, 0, 1]]}
@@ -26,7 +27,7 @@ def rig(size: tuple[int, int], phones: int, quorum: int = 1) -> dict[str, Any]:
          "world_to_camera": [[1, 0, 0, 0.1 * row], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]}
         for row in range(phones)
     ]  # fmt: skip
-    return {"fps": FPS, "policy": {"quorum": quorum}, "cameras": cameras}
+    return {"fps": FPS, "policy": {"quorum": quorum}, "cameras": cameras, **fields}
 
 
 @dataclass
@@ -36,6 +37,7 @@ class Stage:
     server: Running
     definition: dict[str, Any]
     got: list[FrameSet] = field(default_factory=list)
+    heard: list[SoundPiece] = field(default_factory=list)
     dataset: LiveDataset = field(init=False)
 
     def page(self, query: str = "") -> str:
@@ -45,7 +47,9 @@ class Stage:
     def filming(self) -> Iterator[None]:
         """Take pictures while the context lasts."""
         dataset = self.dataset = open_live(
-            self.definition, push_socket=self.server.registry.streams["main"].push_socket
+            self.definition,
+            push_socket=self.server.registry.streams["main"].push_socket,
+            give_sound=self.heard.append,
         )
 
         def read() -> None:
