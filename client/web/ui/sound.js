@@ -5,7 +5,7 @@
  * the screen; the element runs a little faster or slower to be there too, and jumps where that would take long.
  */
 
-import { LiveSound } from "../stream/sound.js";
+import { LiveSound } from "../view/live-sound.js";
 import { element } from "./page.js";
 
 const STEP_MS = 100; // from one correction to the next

@@ -4,7 +4,7 @@ const KEPT_SECONDS = 60, SPARE_SECONDS = 10; // of what was heard
 const TYPE = 'audio/mp4; codecs="opus"';
 
 export class LiveSound {
-  /** @param {import("../view/viewer.js").Viewer} viewer @param {AbortSignal} signal - ends it */
+  /** @param {import("./viewer.js").Viewer} viewer @param {AbortSignal} signal - ends it */
   constructor(viewer, signal) {
     this.viewer = viewer;
     /** @type {ArrayBuffer[]} */
