@@ -142,6 +142,7 @@ export class Renderer extends Surface {
     }
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.source);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.bindVertexArray(this.array);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.quads);
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, Uint16Array.from({ length: 6 * RUN }, (_, i) => 4 * Math.trunc(i / 6) + CORNERS[i % 6]), gl.STATIC_DRAW);

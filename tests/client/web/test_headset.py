@@ -11,7 +11,7 @@ import pytest
 
 from streamlod.core.camera import Camera, pinhole
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
-from tests.client.web.test_browser import WAIT, eventually, psnr, reference, shows
+from tests.client.web.test_browser import WAIT, comes_to_show, eventually, picture, psnr, reference, shows
 
 pytestmark = pytest.mark.browser
 
@@ -143,3 +143,28 @@ def test_the_room_shows_around_the_scene(page: Any, clip: Clip) -> None:
         assert (colours.max(axis=2) == 0).mean() > 0.2, "the room: not the scene's background"
         assert (colours.max(axis=2) > 0.3).mean() > 0.01, "the scene in it"
         page.evaluate("session.end()")
+
+
+def test_webgpu_gives_way_to_a_headset(page_webgpu: Any, clip: Clip) -> None:
+    """Headsets take pictures of WebGL2, which draws the page from then on."""
+    page = page_webgpu
+    if not IWER.exists():
+        pytest.skip("iwer is not installed: npm install --prefix tests/client/web")
+    page.add_init_script(path=IWER)
+    page.add_init_script(PUT_ON)
+    page.set_viewport_size({"width": 900, "height": 450})
+    with serving(create_app(clip, Behaviour(newest=4))) as url:
+        page.goto(f"{url}/?quality=high&webgpu=1")
+        shows(page, "s.version === 4")
+        page.locator(".surface").wait_for(**WAIT)
+        before = picture(page)
+        page.click("#b-ar")
+        page.wait_for_function("window.ticks > 3", **WAIT)
+
+        def sees() -> None:
+            assert (pixels_of(page.evaluate(LOOK)[0]).max(axis=2) > 0.3).mean() > 0.01
+
+        eventually(sees)
+        assert page.locator(".surface").count() == 0
+        page.evaluate("session.end()")
+        comes_to_show(page, before)
