@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import threading
-from contextlib import closing, suppress
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack, closing, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,18 +14,29 @@ from streamlod.core.errors import InputError
 
 if TYPE_CHECKING:
     from streamlod.core.calibration.checks.clocks import Clock
+    from streamlod.core.calibration.checks.finding import RigFinding
     from streamlod.core.calibration.checks.report import RigCheck
     from streamlod.core.frames import FrameSet
+    from streamlod.server.ingest.statistics import Statistics
+    from streamlod.server.settings import Settings
+
+Say = Callable[[str], None]
 
 _INSTANTS = 6
 _LIVE_SECONDS = 20.0  # to wait for a live rig at most
+_PHONE_SECONDS = 600.0  # with phones, which somebody has to start
 _LIVE_STEP = 10  # instants between those used
 
 
-def check(source: Path, layout: str | None) -> tuple[str, bool]:
-    """Check a recording, or the live rig of a .json file that is no transforms.json."""
+def check(source: Path, layout: str | None, settings: Settings, say: Say) -> tuple[str, bool]:
+    """Check a recording, or the live rig of a .json file that is no transforms.json.
+
+    Args:
+        settings: of the server to which phones of a live rig send their pictures.
+        say: told the addresses of their pages.
+    """
     live = source.suffix.lower() == ".json" and source.name != "transforms.json"
-    found = _live(source) if live else _recorded(source, layout)
+    found = _live(source, settings, say) if live else _recorded(source, layout)
     return found.text(), found.at_fault
 
 
@@ -51,23 +65,55 @@ def _clocks(data: Path) -> dict[str, Clock]:
     return {}
 
 
-def _live(file: Path) -> RigCheck:
+def _live(file: Path, settings: Settings, say: Say) -> RigCheck:
+    """Examine some instants with all cameras, or, where some give nothing in time, those with the others."""
+    from streamlod.core.calibration.checks.finding import fact, weak
     from streamlod.core.calibration.checks.report import examine
     from streamlod.server.ingest.live import open_live
 
-    rig = open_live(file)
-    timer = threading.Timer(_LIVE_SECONDS, rig.close)
-    timer.daemon = True
-    timer.start()
-    frames: list[FrameSet] = []
-    try:
-        for frame in rig.frames():
-            if frame.index % _LIVE_STEP < 2:
-                frames.append(frame)
-            if len(frames) == _INSTANTS:
-                break
-    finally:
-        timer.cancel()
-    if not frames:
-        raise InputError(file, f"gave no instant within {_LIVE_SECONDS:.0f} s; see that its cameras run")
-    return examine(rig.cameras, frames)
+    rig = open_live(file, give_sound=lambda _: None)
+    phones = [name for name, address in rig.definition.named_addresses if address.scheme == "push"]
+    with ExitStack() as stack:
+        socket = None
+        if phones:
+            from streamlod.server.cli.rig import show_pages
+            from streamlod.server.service.station import station
+
+            place = stack.enter_context(station(settings, file))
+            socket = place.push_socket
+            show_pages(place.pages(phones), say)
+        rig = replace(rig, definition=replace(rig.definition, quorum=1), push_socket=socket)
+        seconds = _PHONE_SECONDS if phones else _LIVE_SECONDS
+        timer = threading.Timer(seconds, rig.close)
+        timer.daemon = True
+        timer.start()
+        stack.callback(timer.cancel)
+        frames: list[FrameSet] = []
+        partial: deque[FrameSet] = deque(maxlen=_INSTANTS)
+        told: Statistics | None = None
+        with closing(rig.frames()) as instants:  # type: ignore[type-var]
+            for frame in instants:
+                told = rig.statistics()
+                if frame.index % _LIVE_STEP < 2:
+                    (frames if frame.present.all() else partial).append(frame)
+                if len(frames) == _INSTANTS:
+                    break
+    if not frames and not partial:
+        raise InputError(file, f"gave no instant within {seconds:.0f} s; see that its cameras run")
+    found = examine(rig.cameras, frames or list(partial))
+    more = [] if told is None else _timed(told, rig.fps)
+    if told is not None and told.sound is not None:
+        more.append(weak(told.sound) if told.sound else fact(f"the sound of {rig.definition.sound_name} is heard"))
+    return replace(found, findings=(*found.findings, *more))
+
+
+def _timed(told: Statistics, fps: float) -> list[RigFinding]:
+    """Cameras whose capture times may be off by more than half a frame."""
+    from streamlod.core.calibration.checks.finding import weak
+
+    sentence = "{}: its capture times may be off by {:.0f} ms, more than half a frame; they rest on {} (docs/ingest.md)"
+    return [
+        weak(sentence.format(name, one.error_ns / 1e6, one.clock_source))
+        for name, one in told.cameras.items()
+        if one.error_ns > 0.5e9 / fps
+    ]

@@ -101,7 +101,7 @@ def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings
 
             place = stack.enter_context(station(settings, file))
             socket = place.push_socket
-            _show_pages(place.pages(phones), say)
+            show_pages(place.pages(phones), say)
         rig = stack.enter_context(watching(definition, socket))
         whole = first_whole(rig, _WAIT_SECONDS, lambda missing: say(_waiting(missing)))
         pictures = {each.camera: each.load() for each in whole.pictures if each is not None}
@@ -164,7 +164,7 @@ def _prepared_phones(out: Path, say: Say) -> Path:
     return config
 
 
-def _show_pages(pages: Mapping[str, str], say: Say) -> None:
+def show_pages(pages: Mapping[str, str], say: Say) -> None:
     """The addresses for phones, each as a QR code."""
     try:
         import segno

@@ -113,12 +113,21 @@ def calibrate(
 def check(
     source: Annotated[Path, typer.Argument(metavar="DATA|rig.json", help="A recording, or a live rig.")],
     layout: Layout = None,
+    config: Config = None,
+    host: Host = None,
+    port: Port = None,
+    tokens: Tokens = None,
+    insecure: Insecure = False,
 ) -> None:
-    """Check a rig before it films: focus, light, clocks, poses, coverage; exit code 1 where something is at fault."""
+    """Check a rig before it films: focus, light, clocks, poses, coverage; exit code 1 where something is at fault.
+
+    Phones of a live rig are shown a QR code, as by the command rig; host, port and rights are those of serve.
+    """
     require(source)
     from streamlod.server.cli.check import check as examine
 
-    text, at_fault = examine(source, layout)
+    settings = chosen_settings(config, host=host, port=port, tokens=tokens, insecure=insecure or None)
+    text, at_fault = examine(source, layout, settings, typer.echo)
     typer.echo(text)
     if at_fault:
         raise typer.Exit(1)

@@ -20,12 +20,13 @@ from websockets.typing import Subprotocol
 from streamlod.core.calibration.walk import open_walk
 from streamlod.core.errors import InputError
 from streamlod.server.auth.gate import hash_token
+from streamlod.server.cli.check import check
 from streamlod.server.cli.rig import find, watch
 from streamlod.server.ingest.cameras.definition import read_definition
 from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
 from streamlod.server.settings import Settings, load_settings
 from tests.core.data.writers import write_video
-from tests.server.ingest.rig import HEIGHT, WIDTH, burnt, number_of
+from tests.server.ingest.rig import HEIGHT, WIDTH, burnt, number_of, write_definition
 
 FPS = 20
 SKEW_NS = 7_000_000  # by which the second phone films later
@@ -174,3 +175,24 @@ def write_still(file: Path) -> Path:
     """A camera that is no phone: a file of a minute."""
     write_video(file, [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * (60 * FPS), fps=FPS)
     return file
+
+
+def test_phones_are_checked_while_they_film(tmp_path: Path) -> None:
+    """A phone beside a file: it is shown its page, and both are in the table."""
+    rig = write_definition(tmp_path, ["push:", "still.mp4"], sound="cam0")
+    write_still(tmp_path / "still.mp4")
+    over, phones = threading.Event(), list[threading.Thread]()
+
+    def say(line: str) -> None:
+        if match := re.search(r"(http\S+)$", line):
+            phones.append(threading.Thread(target=film, args=(match[1], "cam0", time.time_ns(), over), daemon=True))
+            phones[-1].start()
+
+    text, _ = check(rig, None, Settings(port=0), say)
+    over.set()
+    for phone in phones:
+        phone.join(60)
+    assert len(phones) == 1
+    assert re.search(r"^cam0 ", text, re.MULTILINE)
+    assert re.search(r"^cam1 ", text, re.MULTILINE)
+    assert "gave no picture" not in text
