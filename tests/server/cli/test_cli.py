@@ -22,7 +22,7 @@ from tests.core.data.writers import llff_rows, rig, write_video_clip
 
 COMMANDS = (
     "synth rig calibrate check train evaluate study tradeoff serve edge push view remote info export import demo bench"
-    " doctor warm"
+    " doctor version warm"
 )
 
 
