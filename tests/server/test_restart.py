@@ -224,7 +224,7 @@ def next_version(viewer: Viewer) -> int:
 def test_what_a_viewer_got_is_on_the_disk_already(
     tmp_path: Path, one_file: Clip, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("streamlod.server.stream.bus.RECORD_SECONDS", 30.0)  # no disk is that slow
+    monkeypatch.setattr("streamlod.server.stream.bus._RECORD_SECONDS", 30.0)  # no disk is that slow
     with running(Settings(state=tmp_path), StreamSpec(play=one_file.path)) as server, viewing(server) as viewer:
         viewer.hello()
         viewer.until("caught_up")
@@ -258,7 +258,7 @@ def test_a_disk_that_stands_still_holds_viewers_up_once(
             while next_version(viewer) <= recorded:
                 pass
             monkeypatch.setattr(
-                "streamlod.server.stream.bus.RECORD_SECONDS", 60.0
+                "streamlod.server.stream.bus._RECORD_SECONDS", 60.0
             )  # from now on, a wait would be noticed
             for _ in range(20):
                 viewer.next_packet()

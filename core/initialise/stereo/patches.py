@@ -23,6 +23,7 @@ from streamlod.core.initialise.views import WorkingViews, pixel_centres
 
 _CHANGE = 0.1  # of the depth, tried in the first pass; half of it in each pass after it
 _COUNTED = 2  # sources whose costs are averaged (patch_kernel.py)
+_LEAST_ROWS = 120  # of pictures that are halved for the first round
 _AROUND = 1.02  # factor by which depths may lie outside the bounds
 
 
@@ -84,7 +85,8 @@ def slanted(
         progress: called with the fraction done.
     """
     limits = 1 / bounds[1] / _AROUND, 1 / bounds[0] * _AROUND
-    small = views.resized(max(views.size[1] // 2, 1))
+    rows = views.size[1]
+    small = views.resized(rows // 2) if rows >= _LEAST_ROWS else views
     planes = [resampled(facing(depth_map.depth, limits), small.size, limits) for depth_map in maps]
     for round_number in range(1 + search.rounds):
         if round_number == 1:

@@ -123,7 +123,7 @@ def test_questions_are_answered_and_others_close() -> None:
             assert answer["sent"] == 12.5
             assert before <= answer["server_ns"] <= time.time_ns()
             assert film(one, "phone1", 0)["type"] == "ack"
-            free = {"name": "phone2", "width": WIDTH, "height": HEIGHT, "taken": False}
+            free = {"name": "phone2", "width": WIDTH, "height": HEIGHT, "taken": False, "sound": False}
             wanted = [free | {"name": "phone1", "taken": True}, free]
             assert ask(two, {"type": "cameras"}) == {"type": "cameras", "fps": 20.0, "cameras": wanted}
             one.close()

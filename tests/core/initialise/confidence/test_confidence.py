@@ -21,8 +21,8 @@ from streamlod.core.initialise.stereo.patch_kernel import UNSEEN
 from streamlod.core.initialise.stereo.patches import SlantedMap
 from streamlod.core.initialise.views import WorkingViews, working_views
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
-from tests.core.initialise.test_patches import BOUNDS, floor_picture
-from tests.core.initialise.test_patches import camera as floor_camera
+from tests.core.initialise.stereo.test_patches import BOUNDS, floor_picture
+from tests.core.initialise.stereo.test_patches import camera as floor_camera
 
 SIDE = 24
 UP = np.array([0.0, 0.0, 1.0])

@@ -119,7 +119,9 @@ def printed_wall(cameras: tuple[Camera, ...], period: float) -> np.ndarray:
 def test_a_plain_wall_gets_fewer_levels_than_a_printed_one() -> None:
     cameras = ring(3)
     config = short(preset("live"), 200, finer_levels=2, cell_pixels=8.0)
-    keyframe = replace(config.keyframe, level_cap_share=0.5, level_cap_weight=1.0)  # coarse levels learn to do alone
+    keyframe = replace(
+        config.keyframe, half_size_until=0.2, level_cap_share=0.5, level_cap_weight=1.0
+    )  # coarse levels learn to do alone
     config = replace(config, keyframe=keyframe)
     levels = []
     for pictures in (np.full((3, 32, 48, 3), 128, np.uint8), printed_wall(cameras, 0.3)):
