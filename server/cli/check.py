@@ -69,21 +69,14 @@ def _live(file: Path, settings: Settings, say: Say) -> RigCheck:
     """Examine some instants with all cameras, or, where some give nothing in time, those with the others."""
     from streamlod.core.calibration.checks.finding import fact, weak
     from streamlod.core.calibration.checks.report import examine
+    from streamlod.server.cli.rig import phones_socket
     from streamlod.server.ingest.live import open_live
 
     rig = open_live(file, give_sound=lambda _: None)
-    phones = [name for name, address in rig.definition.named_addresses if address.scheme == "push"]
     with ExitStack() as stack:
-        socket = None
-        if phones:
-            from streamlod.server.cli.rig import show_pages
-            from streamlod.server.service.station import station
-
-            place = stack.enter_context(station(settings, file))
-            socket = place.push_socket
-            show_pages(place.pages(phones), say)
+        socket = phones_socket(file, rig.definition, settings, stack, say)
         rig = replace(rig, definition=replace(rig.definition, quorum=1), push_socket=socket)
-        seconds = _PHONE_SECONDS if phones else _LIVE_SECONDS
+        seconds = _LIVE_SECONDS if socket is None else _PHONE_SECONDS
         timer = threading.Timer(seconds, rig.close)
         timer.daemon = True
         timer.start()
@@ -91,7 +84,7 @@ def _live(file: Path, settings: Settings, say: Say) -> RigCheck:
         frames: list[FrameSet] = []
         partial: deque[FrameSet] = deque(maxlen=_INSTANTS)
         told: Statistics | None = None
-        with closing(rig.frames()) as instants:  # type: ignore[type-var]
+        with closing(rig.frames()) as instants:
             for frame in instants:
                 told = rig.statistics()
                 if frame.index % _LIVE_STEP < 2:

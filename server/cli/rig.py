@@ -17,6 +17,7 @@ from streamlod.core.masking import masked
 from streamlod.server.ingest.cameras.address import Address, parse_address
 
 if TYPE_CHECKING:
+    from streamlod.server.ingest.cameras.definition import RigDefinition
     from streamlod.server.settings import Settings
 
 Say = Callable[[str], None]
@@ -93,16 +94,8 @@ def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings
     if record_to is not None:
         _check_folder(record_to, overwrite=overwrite)
     names = [camera.name for camera in definition.cameras]
-    phones = [name for name, address in zip(names, definition.addresses, strict=True) if address.scheme == "push"]
     with ExitStack() as stack:
-        socket = None
-        if phones:
-            from streamlod.server.service.station import station
-
-            place = stack.enter_context(station(settings, file))
-            socket = place.push_socket
-            show_pages(place.pages(phones), say)
-        rig = stack.enter_context(watching(definition, socket))
+        rig = stack.enter_context(watching(definition, phones_socket(file, definition, settings, stack, say)))
         whole = first_whole(rig, _WAIT_SECONDS, lambda missing: say(_waiting(missing)))
         pictures = {each.camera: each.load() for each in whole.pictures if each is not None}
         sheet = file.with_suffix(".jpg")
@@ -164,7 +157,23 @@ def _prepared_phones(out: Path, say: Say) -> Path:
     return config
 
 
-def show_pages(pages: Mapping[str, str], say: Say) -> None:
+def phones_socket(file: Path, definition: RigDefinition, settings: Settings, stack: ExitStack, say: Say) -> Path | None:
+    """The socket to which a server, held by `stack`, relays what the rig's phones film; None for a rig without phones.
+
+    `say` is told the addresses of the phones' pages.
+    """
+    cameras = zip(definition.cameras, definition.addresses, strict=True)
+    phones = [camera.name for camera, address in cameras if address.scheme == "push"]
+    if not phones:
+        return None
+    from streamlod.server.service.station import station
+
+    place = stack.enter_context(station(settings, file))
+    _show_pages(place.pages(phones), say)
+    return place.push_socket
+
+
+def _show_pages(pages: Mapping[str, str], say: Say) -> None:
     """The addresses for phones, each as a QR code."""
     try:
         import segno

@@ -6,7 +6,7 @@ Pixels are converted just before training asks for them, and only for instants t
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
@@ -110,7 +110,7 @@ class LiveDataset:
         chosen = tuple(plans[name] for name in names)
         return LiveDataset(self.definition, chosen, self.push_socket, self.give_sound, self.space)
 
-    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[FrameSet]:
+    def frames(self, start: int = 0, stop: int | None = None) -> Generator[FrameSet]:
         """Frame sets as they come, numbered from `start` without gaps, up to `stop` or until the sources end.
 
         Reading begins with the first `next`, and ends when the iterator is closed or dropped. `time_ns` always
@@ -141,7 +141,7 @@ class LiveDataset:
         """The rig in operation, which takes pushed pictures; None while nothing is read."""
         return self._rig
 
-    def _frames(self, start: int, stop: int | None) -> Iterator[FrameSet]:
+    def _frames(self, start: int, stop: int | None) -> Generator[FrameSet]:
         index = start
         if stop is not None and index >= stop:
             return

@@ -94,11 +94,6 @@ class RigDefinition:
     sound: SoundSource | None = None
 
     @property
-    def named_addresses(self) -> list[tuple[str, Address]]:
-        """Each camera's name and address."""
-        return [(camera.name, address) for camera, address in zip(self.cameras, self.addresses, strict=True)]
-
-    @property
     def sound_name(self) -> str:
         """The source of sound as the file names it; empty for none."""
         return "" if self.sound is None else self.sound.name
