@@ -49,6 +49,9 @@ class SoundTrack:
         self._held: deque[HeldPiece] = deque()
         self._bytes = 0
         self._recorded_ns = -(2**63)  # up to which it has been handed to the recording
+        self._pieces_of = lru_cache(maxsize=4)(
+            _pieces_of
+        )  # dies with the stream: another may have files of these names
         self.listeners: set[Callable[[], None]] = set()
 
     @property
@@ -93,7 +96,7 @@ class SoundTrack:
         if recorded and (not held or begin_ns < held[0].piece.begin_ns):
             paths = [sound_beside(segment.path) for segment in recorded]
             until = held[0].piece.begin_ns if held else None
-            found = await asyncio.to_thread(_read_files, paths, begin_ns, until)
+            found = await asyncio.to_thread(self._read_files, paths, begin_ns, until)
         else:
             found = []
         wanted = [*found, *held] if len(found) < _READ_PIECES else found
@@ -103,6 +106,23 @@ class SoundTrack:
             if each.piece.end_ns - 1 > begin_ns and (end_ns is None or each.piece.begin_ns < end_ns)
         ]
         return chosen[:_READ_PIECES]
+
+    def _read_files(self, paths: list[Path], begin_ns: int, until_ns: int | None) -> list[HeldPiece]:
+        """Recorded pieces from `begin_ns` on, from the files of as many groups of pictures as are needed."""
+        found: list[HeldPiece] = []
+        for path in _from(paths, begin_ns):
+            try:
+                pieces = self._pieces_of(path, path.stat().st_size)
+            except (OSError, InputError):  # a group without sound, deleted meanwhile, or damaged
+                continue
+            for piece in pieces:
+                if until_ns is not None and piece.begin_ns >= until_ns:
+                    return found
+                if piece.end_ns - 1 > begin_ns:
+                    found.append(HeldPiece(piece))
+            if len(found) >= _READ_PIECES:
+                return found
+        return found
 
     async def packets(self, begin_ns: int, end_ns: int | None) -> tuple[OpusSettings, list[OpusPacket]] | None:
         """The packets between two times, an hour of them at most, of one kind of settings; None without any."""
@@ -119,24 +139,6 @@ class SoundTrack:
             if begin_ns >= last_ns - 1:
                 break
         return None if settings is None or not found else (settings, found)
-
-
-def _read_files(paths: list[Path], begin_ns: int, until_ns: int | None) -> list[HeldPiece]:
-    """Recorded pieces from `begin_ns` on, from the files of as many groups of pictures as are needed."""
-    found: list[HeldPiece] = []
-    for path in _from(paths, begin_ns):
-        try:
-            pieces = _pieces_of(path, path.stat().st_size)
-        except (OSError, InputError):  # a group without sound, deleted meanwhile, or damaged
-            continue
-        for piece in pieces:
-            if until_ns is not None and piece.begin_ns >= until_ns:
-                return found
-            if piece.end_ns - 1 > begin_ns:
-                found.append(HeldPiece(piece))
-        if len(found) >= _READ_PIECES:
-            return found
-    return found
 
 
 def _from(paths: list[Path], begin_ns: int) -> Iterator[Path]:
@@ -157,17 +159,11 @@ def _from(paths: list[Path], begin_ns: int) -> Iterator[Path]:
 
 def _begin_of(path: Path) -> int | None:
     try:
-        return _look(path)
+        return look_at_sound(path).begin_ns
     except (OSError, InputError):
         return None
 
 
-@lru_cache(maxsize=4096)
-def _look(path: Path) -> int:
-    return look_at_sound(path).begin_ns
-
-
-@lru_cache(maxsize=4)
 def _pieces_of(path: Path, size: int) -> list[SoundPiece]:
     """The pieces of a file that has `size` bytes now."""
     settings, packets = read_packets(path)
