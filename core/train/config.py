@@ -69,8 +69,8 @@ class KeyframeConfig:
     )
     half_size_until: float = setting(
         0.4,
-        "moment until which pictures are smaller, a third of the time a step: half the width and height, and before"
-        " that, where they are large, a quarter",
+        "moment until which pictures are smaller, a third of the time a step or less: an eighth, a quarter, then half"
+        " of the width and height, as long as 80 rows are left",
         reading(0.0, "not mentioned: pictures of full size from the start"),
     )
     feature_rate: float = setting(

@@ -140,7 +140,7 @@ class KeyframeTrainer:
     def _views_at(self, progress: float) -> Views:
         """The pictures of a step: from the smallest to the whole ones, each size for as many steps as the next."""
         until, smaller = self._config.half_size_until, len(self._sizes) - 1
-        return self._whole if progress >= until else self._sizes[int(progress / until * smaller)]
+        return self._sizes[int(progress / until * smaller)] if progress < until else self._whole
 
     def _astray(self) -> Tensor | None:
         """[N] anchors that are where the scene is not."""

@@ -9,7 +9,7 @@ from torch.nn import functional
 
 from streamlod.core.camera import Camera
 
-_LEAST_ROWS = 160  # of pictures that are made smaller more than once
+_LEAST_ROWS = 80  # of small pictures
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,8 +33,11 @@ class Views:
         return Views(tuple(camera.scaled(width, height) for camera in self.cameras), targets, self.usable)
 
     def sizes(self) -> list[Views]:
-        """The pictures at half the width and height again and again, the smallest first, the whole ones last."""
-        sizes = [self.halved(), self]
+        """The pictures at half the width and height again and again, the smallest first, the whole ones last.
+
+        None is smaller than 80 rows, so that small ones are there at their own size alone.
+        """
+        sizes = [self]
         while sizes[0].targets.shape[1] >= 2 * _LEAST_ROWS:
             sizes.insert(0, sizes[0].halved())
         return sizes

@@ -149,5 +149,5 @@ def test_a_burst_stays_within_the_buffer_and_quality_returns(
         burst, returned = bound(plain, clip, pictures, first, 12)
         missing.append(unbound(plain, clip, pictures, first) - returned)
         gained.append(bound(ours, clip, pictures, first, 0)[0] - burst)
-    assert np.mean(missing) < 0.6  # 0.45; below 0.3 while training went on where rounding and the rate had cut it short
+    assert np.mean(missing) < 0.5  # 0.42 of 24.1 dB
     assert np.mean(gained) > 0.2

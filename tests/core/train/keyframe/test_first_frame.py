@@ -71,7 +71,8 @@ def test_halved_pictures_show_the_same_scene() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rows", "sizes"), [(180, [90, 180]), (319, [159, 319]), (360, [180, 360]), (720, [180, 360, 720]), (1, [1, 1])]
+    ("rows", "sizes"),
+    [(1, [1]), (159, [159]), (160, [80, 160]), (319, [159, 319]), (360, [90, 180, 360]), (720, [90, 180, 360, 720])],
 )
 def test_pictures_become_small_where_they_are_large(rows: int, sizes: list[int]) -> None:
     views = Views(ring(2, 8, rows), torch.rand(2, rows, 8, 3), [0, 1])
@@ -91,7 +92,7 @@ def test_a_first_frame_goes_from_small_pictures_to_the_whole_ones(monkeypatch: p
     pictures = np.full((2, 640, 32, 3), 99, np.uint8)
     monkeypatch.setattr(ViewLoss, "draw", noting)
     Trainer(cameras, config, 30.0, "cpu").keyframe(frames(pictures), wall(60))
-    assert drawn[:10] == [160, 160, 320, 320] + [640] * 6
+    assert drawn[:10] == [80, 80, 160, 320] + [640] * 6
 
 
 @pytest.mark.parametrize(
@@ -119,9 +120,7 @@ def printed_wall(cameras: tuple[Camera, ...], period: float) -> np.ndarray:
 def test_a_plain_wall_gets_fewer_levels_than_a_printed_one() -> None:
     cameras = ring(3)
     config = short(preset("live"), 200, finer_levels=2, cell_pixels=8.0)
-    keyframe = replace(
-        config.keyframe, half_size_until=0.2, level_cap_share=0.5, level_cap_weight=1.0
-    )  # coarse levels learn to do alone
+    keyframe = replace(config.keyframe, level_cap_share=0.5, level_cap_weight=1.0)  # coarse levels learn to do alone
     config = replace(config, keyframe=keyframe)
     levels = []
     for pictures in (np.full((3, 32, 48, 3), 128, np.uint8), printed_wall(cameras, 0.3)):
