@@ -47,6 +47,7 @@ def test_other_steps_show_the_same_picture_and_finer_changes(footage: Footage, f
     np.testing.assert_array_equal(same.weights.feature_decoder, scene.weights.feature_decoder)
 
 
+@pytest.mark.long
 def test_a_run_measures_every_frame_and_level(footage: Footage, first_frames: FirstFrames) -> None:
     run = run_system(CONFIG, footage, first_frames, spec=SPEC)
     assert [frame.frame for frame in run.frames] == [0, 1, 2]

@@ -26,6 +26,7 @@ def server(slow_clip: Clip) -> Iterator[Running]:
         yield server
 
 
+@pytest.mark.long
 def test_who_asks_for_sound_gets_it_from_its_picture_on(server: Running) -> None:
     with viewing(server) as listener, viewing(server) as silent:
         assert listener.hello(sound=True).welcome["sound"] is None
@@ -51,6 +52,7 @@ def test_who_asks_for_sound_gets_it_from_its_picture_on(server: Running) -> None
         assert silent.sound[-1].end_ns < 13 * SECOND_NS
 
 
+@pytest.mark.long
 def test_a_seek_brings_the_sound_of_where_it_leads(server: Running) -> None:
     with viewing(server) as viewer:
         viewer.hello(sound=True)
@@ -80,6 +82,7 @@ def test_sound_is_served_by_time(server: Running, tmp_path: Path) -> None:
         assert heard_at(tmp_path / "heard.opus") == pytest.approx(heard, abs=0.002)
 
 
+@pytest.mark.long
 def test_sound_is_kept_beside_the_recording_and_goes_with_it(slow_clip: Clip, tmp_path: Path) -> None:
     settings = Settings(state=tmp_path / "state", retention=Retention(memory_bytes=1_000_000))
     with running(settings, StreamSpec(play=slow_clip.path, loop=False)) as server:

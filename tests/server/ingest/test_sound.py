@@ -82,6 +82,7 @@ def test_sound_that_starts_late_is_on_time(tmp_path: Path) -> None:
     assert min(abs(click - flashes[0] / 1e9) for click in clicks) > 0.5
 
 
+@pytest.mark.long
 @NEEDS_FFMPEG
 def test_sound_of_a_camera_comes_on_the_clock_of_its_pictures(tmp_path: Path) -> None:
     write_sounding(tmp_path / "clip.ts", 9)
