@@ -13,6 +13,7 @@ from streamlod.client.evaluation.measure.moving import MovingPixels, MovingScore
 from streamlod.client.evaluation.measure.places import places
 from streamlod.client.evaluation.measure.scores import Perception
 from streamlod.client.evaluation.systems import FirstFrames, perceived_frames, run_system
+from streamlod.codec.export.spz import encode_spz
 from streamlod.core.arrays import UInt8
 from streamlod.core.metrics import psnr, ssim
 from streamlod.core.synthetic import SyntheticSpec
@@ -67,6 +68,7 @@ class Contest:
         model: PlainGaussians | None = None
         stood: dict[str, Any] = {}
         frames: list[dict[str, Any]] = []
+        size_bytes = 0
         for (training, testing), seconds in zip(self.footage.pairs(), cpu_seconds, strict=False):
             views = plain_views(training, self.footage.training.cameras)
             begin = time.process_time()
@@ -79,7 +81,7 @@ class Contest:
                 model.follow(views, seconds)
             spent = time.process_time() - begin
             if not frames:
-                present = views.usable
+                present, size_bytes = views.usable, len(encode_spz(model.cloud()))
                 stood = places(
                     model.picture,
                     [views.cameras[row] for row in present],
@@ -96,6 +98,7 @@ class Contest:
             means = [float(value) for value in np.mean(quality, axis=0)]
             frames.append({**_figures(testing.index, means[0], means[1], lpips, moving), "cpu_seconds": spent})
         assert model is not None, "a footage has at least one frame"
+        frames[0]["bytes"] = size_bytes
         figures = {
             "points": len(self.footage.points),
             "parts": len(model),

@@ -24,6 +24,7 @@ from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.core.render.differentiable import rasterise
 from streamlod.core.render.raster import Raster
 from streamlod.core.scene.expand import near_radius
+from streamlod.core.scene.gaussians import GaussianCloud
 from streamlod.core.train.field.exposure import neutral
 from streamlod.core.train.keyframe.random_background import over_colour
 from streamlod.core.train.loss.photometric import photometric_loss
@@ -174,6 +175,18 @@ class PlainGaussians:
         kept = away.norm(dim=1) >= near_radius(self._whole.cameras, camera.centre)
         image = self._render({name: parameters[name][kept] for name in self._rows}, camera, torch.zeros(3)).image
         return np.asarray((image.numpy() * 255).round().clip(0, 255), np.uint8)
+
+    @torch.no_grad()
+    def cloud(self) -> GaussianCloud:
+        """The result as a file of Gaussians has it."""
+        found = {name: (self._mean.values or self._optimiser.parameters)[name].numpy() for name in self._rows}
+        return GaussianCloud(
+            means=found["means"],
+            quaternions=found["quaternions"],
+            scales=np.exp(found["scales"]),
+            opacities=1 / (1 + np.exp(-found["opacities"])),
+            colours=found["colours"].clip(0),
+        )
 
     def _step(self, progress: float) -> None:
         config, number, parameters = self._config, self._order.next(), self._optimiser.parameters

@@ -26,6 +26,7 @@ from tests.bench.zoo.tables import zoo_report
 
 _log = logging.getLogger(__name__)
 SYSTEMS = ("ours", "plain", "paper")
+_LARGEST = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +36,8 @@ class ZooOptions:
     Attributes:
         scenes: by name. views: numbers of training cameras. seeds: 0, 1, ... so many.
         systems: of `SYSTEMS`; plain needs ours, whose CPU time it gets.
-        preset: of ours. downscale: of the pictures, from nominal. frames: the first and later ones, where there is
+        preset: of ours. downscale: of the pictures, from nominal; below 1 for larger ones, recordings at most as they
+            were filmed. frames: the first and later ones, where there is
             video.
         points: the way to first points, of `core.initialise.METHODS`, for all systems.
     """
@@ -59,8 +61,9 @@ class ZooOptions:
             unknown = sorted(set(wanted) - set(allowed))
             if unknown:
                 raise InputError(f"--{what}", f"{', '.join(unknown)}: unknown; choose of {', '.join(allowed)}")
-        if min(self.views, default=0) < 2 or self.seeds < 1 or self.frames < 1 or self.downscale < 1:
-            raise InputError("zoo", "needs at least two views, one seed, one frame, and a downscale of 1 or more")
+        if min(self.views, default=0) < 2 or self.seeds < 1 or self.frames < 1 or self.downscale < _LARGEST:
+            least = f"two views, one seed, one frame, and a downscale of {_LARGEST:g}"
+            raise InputError("zoo", f"needs at least {least}, which is 1920x1080 for synthetic scenes")
 
 
 def run_zoo(root: Path | None, out: Path, options: ZooOptions) -> str:

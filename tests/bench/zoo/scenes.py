@@ -48,11 +48,11 @@ def _synthetic(kind: str, half: Half) -> ZooScene:
 
 
 def _recorded(name: str, half: Half, held_out: str, nominal: float) -> ZooScene:
-    """A recording whose pictures are taken `nominal` times smaller, and from there as asked."""
+    """A recording whose pictures are taken `nominal` times smaller, and from there as asked, but never enlarged."""
 
     def opened(root: Path | None, downscale: float) -> Dataset | None:
         folder = None if root is None else root / name
-        return open_dataset(folder, downscale=nominal * downscale) if folder and folder.is_dir() else None
+        return open_dataset(folder, downscale=max(nominal * downscale, 1.0)) if folder and folder.is_dir() else None
 
     return ZooScene(name, half, held_out, opened, lambda _: None)
 

@@ -31,6 +31,8 @@ _HEAD = (
     "CPU s ours",
     "plain",
     "paper",
+    "KB ours",
+    "plain as SPZ",
 )
 
 
@@ -70,7 +72,8 @@ def zoo_report(cells: Cells, missing: Sequence[str] = ()) -> str:
     if missing:
         parts += [f"Not under the data root, so not measured: {', '.join(missing)}.", ""]
     for (preset, downscale, points), found in groups.items():
-        title = f"## Preset {preset}, pictures {downscale:g} times smaller than nominal, first points {points}"
+        size = f"{downscale:g} times smaller" if downscale >= 1 else f"{1 / downscale:.3g} times larger"
+        title = f"## Preset {preset}, pictures {size} than nominal, first points {points}"
         parts += [title, "", *_section(_lines(found))]
     return "\n".join(parts)
 
@@ -113,9 +116,20 @@ def _figures(lines: Sequence[SceneRow]) -> list[str]:
     lead = _mean(line.lead for line in lines)
     texts.append("-" if lead is None else f"{lead:+.2f}")
     texts.append(number(_mean(line.first("paper", "psnr") for line in lines)))
-    return texts + [
-        number(_mean(line.first(system, "cpu_seconds") for line in lines), 1) for system in ("ours", "plain", "paper")
-    ]
+    return (
+        texts
+        + [
+            number(_mean(line.first(system, "cpu_seconds") for line in lines), 1)
+            for system in ("ours", "plain", "paper")
+        ]
+        + [number(_mean(_kilobytes(line, system) for line in lines), 0) for system in ("ours", "plain")]
+    )
+
+
+def _kilobytes(line: SceneRow, system: str) -> float | None:
+    """Size of the first frame, as a packet or a file."""
+    size_bytes = line.first(system, "bytes")
+    return None if size_bytes is None else size_bytes / 1000
 
 
 def _places(lines: Sequence[SceneRow]) -> tuple[list[str], list[list[str]]]:
