@@ -1,14 +1,15 @@
 """Later frames of a recording where viewers stand: at the cameras that train, and at those that are held out.
 
     python -m tests.bench.rig_bench DATA [--downscale 2 --begin 0 --frames 16 --stride 1 --test cam00 --seed 0]
-        [--run predict.epochs=5,...] [--first FILE] [--out DIR] [--total 1000]
+        [--run predict.epochs=5,...] [--first FILE] [--out DIR] [--total 1000 [--keyframes 100]]
 
 Every `--run` is a run of its own with these settings changed (`core.train.presets.settings`); all start from the same
 first frame, which `--first` keeps as a packet. Each run tells, as means over the later frames: PSNR at each camera that
 trains, at its best exposure; of the held-out pictures; and of pixels that differ from the first picture, there and
 there; bytes and CPU seconds a frame, and seconds of each stage. `--out` saves the last frame beside the truth.
 `--total` goes on for so many later frames, back and forth through the instants, and also tells the means of each
-hundred of them, with the peak of the memory, so that drift shows.
+hundred of them, with the peak of the memory, so that drift shows; `--keyframes` sends one after each so many frames, as
+a stream does, with its bytes and seconds among those of its frame.
 """
 
 from __future__ import annotations
@@ -139,7 +140,9 @@ def first_scene(subject: Subject, config: TrainConfig, kept: Path | None) -> Sce
     return scene
 
 
-def follow(subject: Subject, config: TrainConfig, first: Scene, frames: slice = slice(1, None)) -> tuple[Course, Scene]:
+def follow(
+    subject: Subject, config: TrainConfig, first: Scene, frames: slice = slice(1, None), keyframes: int | None = None
+) -> tuple[Course, Scene]:
     """Train all frames after the first and measure them; also the state after the last."""
     course, trainer = Course(), Trainer(subject.cameras, config, subject.fps, "cpu", clock=time.process_time)
     trainer.resume(first)
@@ -148,10 +151,13 @@ def follow(subject: Subject, config: TrainConfig, first: Scene, frames: slice = 
     for frame, test in zip(subject.training[frames], subject.testing[frames], strict=True):
         before, begin = trainer.scene, time.process_time()
         result = trainer.predict(frame)
-        course.seconds.append(time.process_time() - begin)
         course.stages.update(result.report.seconds)
         assert result.residual is not None
-        course.size.append(len(encode_residual(before, result.residual, time_ns=frame.time_ns)))
+        size_bytes = len(encode_residual(before, result.residual, time_ns=frame.time_ns))
+        if keyframes and (len(course.size) + 1) % keyframes == 0:
+            size_bytes += len(encode_keyframe(trainer.refresh(frame).scene, time_ns=frame.time_ns))
+        course.size.append(size_bytes)
+        course.seconds.append(time.process_time() - begin)
         drawn = [draw(result.scene, camera) for camera in subject.cameras]
         course.at.append([fitted_psnr(one, true) for one, true in zip(drawn, frame.images, strict=True)])
         course.moving_at.append(_of_changed(drawn, frame, subject.training[0]))
@@ -187,7 +193,7 @@ def main() -> None:
     print(f"first frame: {first.anchor_count} anchors, {len(encode_keyframe(first, time_ns=0)) / 1000:.0f} kB")
     follow(subject, base, first, slice(1, 2))  # compiling is not timed
     for changes in options.run or [""]:
-        course, last = follow(subject, with_settings(base, fields_in(changes)), first)
+        course, last = follow(subject, with_settings(base, fields_in(changes)), first, keyframes=options.keyframes)
         print(f"{changes or options.preset}: {course.told()}", flush=True)
         if options.out is not None:
             folder = result_folder(options.out / (changes or options.preset))
@@ -207,6 +213,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--preset", default="live")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--total", type=int, help="later frames, back and forth through those of --frames")
+    parser.add_argument("--keyframes", type=int, help="later frames after which one is sent")
     parser.add_argument("--views", type=int)
     parser.add_argument("--test", nargs="*", default=[], help="cameras that are held out")
     parser.add_argument("--first", type=Path, help="packet of the first frame, written where it is absent")
