@@ -1,12 +1,15 @@
 """Later frames of a recording where viewers stand: at the cameras that train, and at those that are held out.
 
     python -m tests.bench.rig_bench DATA [--downscale 2 --begin 0 --frames 16 --stride 1 --test cam00 --seed 0]
-        [--run predict.epochs=5,...] [--first FILE] [--out DIR] [--total 1000 [--keyframes 100]]
+        [--run predict.epochs=5,...] [--first FILE] [--out DIR [--at 10 30 50]]
+        [--total 1000 [--keyframes 100]]
 
 Every `--run` is a run of its own with these settings changed (`core.train.presets.settings`); all start from the same
 first frame, which `--first` keeps as a packet. Each run tells, as means over the later frames: PSNR at each camera that
 trains, at its best exposure; of the held-out pictures; and of pixels that differ from the first picture, there and
-there; bytes and CPU seconds a frame, and seconds of each stage. `--out` saves the last frame beside the truth.
+there; bytes and CPU seconds a frame, and seconds of each stage. `--out` saves the last frame, or the later frames
+`--at`, beside the truth, and says which of them are worst.
+
 `--total` goes on for so many later frames, back and forth through the instants, and also tells the means of each
 hundred of them, with the peak of the memory, so that drift shows; `--keyframes` sends one after each so many frames, as
 a stream does, with its bytes and seconds among those of its frame.
@@ -17,6 +20,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -141,23 +145,26 @@ def first_scene(subject: Subject, config: TrainConfig, kept: Path | None) -> Sce
 
 
 def follow(
-    subject: Subject, config: TrainConfig, first: Scene, frames: slice = slice(1, None), keyframes: int | None = None
-) -> tuple[Course, Scene]:
-    """Train all frames after the first and measure them; also the state after the last."""
-    course, trainer = Course(), Trainer(subject.cameras, config, subject.fps, "cpu", clock=time.process_time)
+    subject: Subject, config: TrainConfig, first: Scene, keyframes: int | None = None, at: Collection[int] = ()
+) -> tuple[Course, dict[int, Scene]]:
+    """Train all frames after the first and measure them; also the states after the frames `at`, counted from 1."""
+    course, scenes = Course(), dict[int, Scene]()
+    trainer = Trainer(subject.cameras, config, subject.fps, "cpu", clock=time.process_time)
     trainer.resume(first)
     trainer.predict(subject.training[0])  # tells the trainer what the first frame was shown
     trainer.resume(first, keep_references=True)
-    for frame, test in zip(subject.training[frames], subject.testing[frames], strict=True):
+    for number, (frame, test) in enumerate(zip(subject.training[1:], subject.testing[1:], strict=True), 1):
         before, begin = trainer.scene, time.process_time()
         result = trainer.predict(frame)
         course.stages.update(result.report.seconds)
         assert result.residual is not None
         size_bytes = len(encode_residual(before, result.residual, time_ns=frame.time_ns))
-        if keyframes and (len(course.size) + 1) % keyframes == 0:
+        if keyframes and number % keyframes == 0:
             size_bytes += len(encode_keyframe(trainer.refresh(frame).scene, time_ns=frame.time_ns))
         course.size.append(size_bytes)
         course.seconds.append(time.process_time() - begin)
+        if number in at:
+            scenes[number] = result.scene
         drawn = [draw(result.scene, camera) for camera in subject.cameras]
         course.at.append([fitted_psnr(one, true) for one, true in zip(drawn, frame.images, strict=True)])
         course.moving_at.append(_of_changed(drawn, frame, subject.training[0]))
@@ -165,10 +172,10 @@ def follow(
             drawn = [draw(result.scene, camera) for camera in subject.held_out]
             course.beside.append([psnr(one, true) for one, true in zip(drawn, test.images, strict=True)])
             course.moving_beside.append(_of_changed(drawn, test, subject.testing[0]))
-        if len(course.size) % _PART == 0:
+        if number % _PART == 0:
             print(f"  {course.of_latest(_PART)}, {peak_bytes() / 1e6:.0f} MB at most", flush=True)
             forget_peak()
-    return course, trainer.scene
+    return course, scenes
 
 
 def _of_changed(drawn: list[UInt8], now: FrameSet, first: FrameSet) -> float:
@@ -191,16 +198,26 @@ def main() -> None:
     base = replace(preset(options.preset), seed=options.seed)
     first = first_scene(subject, base, options.first)
     print(f"first frame: {first.anchor_count} anchors, {len(encode_keyframe(first, time_ns=0)) / 1000:.0f} kB")
-    follow(subject, base, first, slice(1, 2))  # compiling is not timed
+    shortest = replace(subject, training=subject.training[:2], testing=subject.testing[:2])
+    follow(shortest, base, first)  # compiling is not timed
     for changes in options.run or [""]:
-        course, last = follow(subject, with_settings(base, fields_in(changes)), first, keyframes=options.keyframes)
+        config, at = with_settings(base, fields_in(changes)), options.at or [len(subject.training) - 1]
+        course, scenes = follow(subject, config, first, options.keyframes, at)
         print(f"{changes or options.preset}: {course.told()}", flush=True)
         if options.out is not None:
-            folder = result_folder(options.out / (changes or options.preset))
-            cameras = (*subject.cameras, *subject.held_out)
-            truths = (*subject.training[-1].images, *subject.testing[-1].images)
-            for camera, truth in zip(cameras, truths, strict=True):
-                write_png(folder / f"{camera.name}.png", side_by_side(truth, draw(last, camera)))
+            save(subject, scenes, result_folder(options.out / (changes or options.preset)))
+
+
+def save(subject: Subject, scenes: dict[int, Scene], folder: Path) -> None:
+    """Pictures of later frames, truth on the left; prints their names, worst first."""
+    cameras, found = (*subject.cameras, *subject.held_out), list[tuple[float, str]]()
+    for number, scene in scenes.items():
+        truths = (*subject.training[number].images, *subject.testing[number].images)
+        for camera, truth in zip(cameras, truths, strict=True):
+            shown, name = draw(scene, camera), f"{number:03d}-{camera.name}.png"
+            found.append((fitted_psnr(shown, truth), name))
+            write_png(folder / name, side_by_side(truth, shown))
+    print("\n".join(f"  {quality:.2f} dB {name}" for quality, name in sorted(found)), flush=True)
 
 
 def _options() -> argparse.Namespace:
@@ -218,6 +235,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--test", nargs="*", default=[], help="cameras that are held out")
     parser.add_argument("--first", type=Path, help="packet of the first frame, written where it is absent")
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--at", type=int, nargs="+", help="later frames to save, counted from 1")
     parser.add_argument("--run", action="append", metavar="PART.NAME=VALUE,...")
     return parser.parse_args()
 
