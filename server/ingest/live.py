@@ -145,13 +145,14 @@ class LiveDataset:
         index = start
         if stop is not None and index >= stop:
             return
-        rig = self._rig = Rig(self.definition, self.names, self.give_sound)
+        rig = Rig(self.definition, self.names, self.give_sound)
         with ExitStack() as stack:
             stack.callback(self._release)
             stack.callback(rig.stop)
             pool = stack.enter_context(ThreadPoolExecutor(min(len(self.cameras), os.cpu_count() or 1), "develop"))
             if self.push_socket is not None and rig.pushed:
                 stack.enter_context(listening(self.push_socket, lambda: Intake(rig)))
+            self._rig = rig
             rig.start()
             instants = rig.instants()
 
