@@ -64,6 +64,11 @@ export class Connection extends Link {
     this.handlers.status();
   }
 
+  /** Whether it stands still, or will where a seek leads. */
+  get stopping() {
+    return this.frozen || this.stopAt !== null;
+  }
+
   /** Handle what came, in order; packets take time. */
   async #drain() {
     if (this.busy) return;

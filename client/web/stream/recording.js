@@ -30,6 +30,7 @@ export class Recording {
     /** @type {{ keyframe: number, version: number } | null} */
     this.held = null;
     this.playing = true;
+    this.stopping = false; // what stands still is known at once
     this.loop = loop;
     this.speed = 1;
     this.at = 0; // index of the moment to show

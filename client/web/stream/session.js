@@ -32,6 +32,7 @@ const USUAL_GAPS = 4; // so many times the usual time between two frames is a st
  * @property {{ oldest: Position, newest: Position } | null} window
  * @property {Position | null} position - newest applied
  * @property {"live" | "replay" | "paused"} mode
+ * @property {boolean} stopping - it stands still, or will where a seek leads
  * @property {number | null} levels - of the stream
  * @property {number | null} sentLevels - that packets carry now
  * @property {number | null} fps - of the stream
@@ -59,7 +60,7 @@ export class Session {
     /** @type {Status} */
     this.status = {
       phase: "connecting", source: "cameras", loops: false, lagSeconds: null, filmedMs: null, newestMs: null, clockMs: null, detail: "", stage: "", trouble: "", fraction: null,
-      window: null, position: null, mode: "live", levels: null,
+      window: null, position: null, mode: "live", stopping: false, levels: null,
       sentLevels: null, fps: null, retryAt: 0, skipped: 0, bytes: 0, together: null,
     };
     this.attempts = 0;

@@ -147,7 +147,7 @@ export class Timeline {
   }
 
   get paused() {
-    return this.pausing || this.status?.mode === "paused";
+    return this.pausing || this.status?.mode === "paused" || this.status?.stopping === true;
   }
 
   /** Whether nothing moves until somebody says so. */

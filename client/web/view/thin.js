@@ -75,7 +75,7 @@ export class ThinLink extends Link {
   }
 
   tell() {
-    this.#tell({ type: "status", status: { ...this.session.status }, refusals: 0, now: performance.now() });
+    this.#tell({ type: "status", status: { ...this.session.status, stopping: this.stopAt !== null }, refusals: 0, now: performance.now() });
   }
 
   /** @param {import("./messages.js").ToWorker} message */

@@ -109,7 +109,7 @@ function status() {
   if (!source) return;
   const { status } = source.session; // on the way to a version, what is shown counts
   if (file && status.source === "recording") return void playFile(file, source.token, status.loops);
-  tell({ type: "status", status: { ...status, position: held === null ? status.position : shownAt }, refusals, now: performance.now() });
+  tell({ type: "status", status: { ...status, position: held === null ? status.position : shownAt, stopping: source.stopping }, refusals, now: performance.now() });
 }
 
 let holdTimer = 0;

@@ -470,6 +470,18 @@ def test_a_file_plays_what_is_whole(page: Any, clip: Clip, recording: Path, tmp_
         shows(page, "s.version >= 3")
 
 
+ON_THE_WAY = """([target, next]) => new Promise((resolve) => {
+    const look = () => {
+        const { mode, version } = streamlod.state;
+        if (mode !== "replay" && version !== target) return requestAnimationFrame(look);
+        streamlod[next.split("(")[0]](...next.match(/\\d+/g)?.map(Number) ?? []);
+        resolve();
+    };
+    streamlod.seek(target);
+    look();
+})"""  # seek, and do the next thing as soon as the server has answered
+
+
 def test_pause_then_seek_stays_paused_and_the_past_has_speed(page: Any, clip: Clip) -> None:
     """A seek right after a pause, not answered yet, does not play on; the past of a stream has speed."""
     behaviour = Behaviour(fps=10, newest=30)
@@ -481,6 +493,12 @@ def test_pause_then_seek_stays_paused_and_the_past_has_speed(page: Any, clip: Cl
         shows(page, "s.version === 5 && s.mode === 'paused'")
         page.wait_for_timeout(600)
         assert page.evaluate("[streamlod.state.version, streamlod.state.mode]") == [5, "paused"]
+        page.evaluate(ON_THE_WAY, [8, "seek(12)"])
+        shows(page, "s.version === 12 && s.mode === 'paused'")
+        page.evaluate(ON_THE_WAY, [7, "play()"])
+        shows(page, "s.version > 7 && s.version < 12 && s.mode === 'replay'")
+        page.evaluate("streamlod.pause(); streamlod.seek(5)")
+        shows(page, "s.version === 5 && s.mode === 'paused'")
         page.evaluate("streamlod.play()")
         page.locator("#t-speed").wait_for(**WAIT)
         page.evaluate("document.getElementById('t-speed').click()")
