@@ -26,12 +26,13 @@ pytestmark = pytest.mark.cluster
 
 @dataclass(slots=True)
 class Seen:
-    """What a viewer was told: the version of each scene, and the rest."""
+    """What a viewer was told: the version of each scene, those after which some were left out, and the rest."""
 
     versions: list[int] = field(default_factory=list)
     welcomes: list[Welcome] = field(default_factory=list)
     breaks: list[str] = field(default_factory=list)
     notices: list[str] = field(default_factory=list)
+    skipped: set[int] = field(default_factory=set)
 
 
 def look(url: str, act: Callable[[], None], after: int, more: int, options: WatchOptions) -> Seen:
@@ -51,6 +52,8 @@ def look(url: str, act: Callable[[], None], after: int, more: int, options: Watc
                         seen.breaks.append(event.reason)
                     case Notice():
                         seen.notices.append(event.name)
+                        if event.name == "skipped":
+                            seen.skipped.add(event.fields["from"])
                 if len(seen.versions) >= after and not acted:
                     acted = True
                     await asyncio.to_thread(act)
@@ -107,7 +110,10 @@ def test_a_viewer_takes_the_edge_that_answers(nodes: tuple[Node, Node, Node], mo
 
 
 def test_an_edge_that_stops_is_left_without_a_gap(nodes: tuple[Node, Node, Node]) -> None:
-    """The other one's picture is there before the connection ends, and no version is shown twice or left out."""
+    """The other one's picture is there before the connection ends, and no version is shown twice or left out.
+
+    But for those that a server leaves out because this machine is too busy to take them, which it says.
+    """
     stopped = nodes[1]
 
     def stop() -> None:
@@ -119,8 +125,9 @@ def test_an_edge_that_stops_is_left_without_a_gap(nodes: tuple[Node, Node, Node]
     assert "draining" in seen.notices
     assert seen.breaks == []
     assert len(seen.welcomes) == 2
-    steps = {later - before for before, later in zip(seen.versions[60:], seen.versions[61:], strict=False)}
-    assert steps <= {1, 0, -399}  # a keyframe may have its residual's version; the clip begins again after its last
+    shown = zip(seen.versions[60:], seen.versions[61:], strict=False)
+    odd = {pair for pair in shown if pair[1] - pair[0] not in {0, 1} and pair[0] not in seen.skipped}
+    assert odd <= {(399, 0)}, seen.skipped  # versions stay where a keyframe comes; after the last the clip begins again
     assert stopped.process.wait(60) == 0
 
 
