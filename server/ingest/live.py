@@ -152,7 +152,7 @@ class LiveDataset:
             pool = stack.enter_context(ThreadPoolExecutor(min(len(self.cameras), os.cpu_count() or 1), "develop"))
             if self.push_socket is not None and rig.pushed:
                 stack.enter_context(listening(self.push_socket, lambda: Intake(rig)))
-            self._rig = rig
+            self._rig = rig  # only now does it take what is pushed
             rig.start()
             instants = rig.instants()
 

@@ -37,7 +37,7 @@ from streamlod.server.ingest.push.message import (
     pack_push,
     parse_push,
 )
-from streamlod.server.ingest.push.relay import RelayedIntake
+from streamlod.server.ingest.push.relay import RelayedIntake, listening
 from streamlod.server.ingest.sync.clock import ClockSource
 from streamlod.server.ingest.sync.synchroniser import CameraState
 from tests.server.ingest.push.serving import relayed, serving_push
@@ -182,6 +182,22 @@ def test_the_later_of_two_nodes_with_one_camera_counts(live: Frames) -> None:
     early.close()
     states = {name: camera.state for name, camera in rig.statistics().cameras.items()}
     assert states == {"cam0": CameraState.OK, "cam1": CameraState.LOST}
+
+
+def test_a_rig_is_in_operation_once_it_takes_what_is_pushed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that who waits for it may push at once."""
+    live = open_live(write_definition(tmp_path, ["push:", "push:"]), push_socket=tmp_path / "s")
+    before: list[object] = []
+
+    def listening_later(*arguments: Any) -> Any:
+        before.append(live.rig)
+        return listening(*arguments)
+
+    monkeypatch.setattr("streamlod.server.ingest.live.listening", listening_later)
+    frames = Frames(live)
+    RelayedIntake(tmp_path / "s").close()
+    frames.close()
+    assert before == [None]
 
 
 def test_refuses_pictures_that_do_not_fit(live: Frames) -> None:
