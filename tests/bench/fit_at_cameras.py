@@ -5,7 +5,8 @@
 
 Without `--test` all cameras train. Prints PSNR as shown, at the best exposure, and SSIM at each place; beside the
 cameras only for synthetic data, of which it is known what is seen there. `--plain` trains plain Gaussians on the same
-points for the same CPU seconds. `--set opacity_weight=0` and the like change one choice; `--out DIR` saves pictures.
+points for the same CPU seconds. `--set opacity_weight=0` and the like change one choice; `--out DIR` saves pictures
+with the truth on the left, at the cameras and, of synthetic data, beside them.
 """
 
 from __future__ import annotations
@@ -19,13 +20,14 @@ from pathlib import Path
 
 import numpy as np
 
-from streamlod.client.evaluation.measure.places import places, places_table
+from streamlod.client.evaluation.measure.places import BESIDE, places, places_table, views_beside
 from streamlod.client.evaluation.measure.scores import Perception, draw, score_picture
 from streamlod.client.evaluation.report.output import result_folder, side_by_side
 from streamlod.client.recorder import write_png
 from streamlod.codec.encoder import encode_keyframe
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera import Camera, look_at, pinhole
+from streamlod.core.camera.space import UNCHANGED, Similarity
 from streamlod.core.data import linspace_split, open_dataset
 from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.core.initialise import first_points
@@ -44,7 +46,7 @@ class Subject:
 
     Attributes:
         cameras, frame: that train. points: first ones.
-        held_out: (camera, picture) pairs. spec: of a synthetic place, else None.
+        held_out: (camera, picture) pairs. spec: of a synthetic place, else None; `space` leads from it to the cameras'.
     """
 
     cameras: tuple[Camera, ...]
@@ -52,6 +54,7 @@ class Subject:
     points: PointCloud
     held_out: list[tuple[Camera, UInt8]]
     spec: SyntheticSpec | None
+    space: Similarity
     fps: float
 
 
@@ -65,7 +68,7 @@ def recorded(data: Path, downscale: float, index: int, views: int | None, test: 
     training = FrameSet(frame.index, frame.time_ns, frame.images[rows], frame.present[rows])
     points = first_points(training, cameras, depth_bounds=dataset.depth_bounds, dataset_points=dataset.points())
     held_out = [(dataset.cameras[names.index(name)], frame.images[names.index(name)]) for name in test]
-    return Subject(cameras, training, points, held_out, read_spec(data), dataset.fps)
+    return Subject(cameras, training, points, held_out, read_spec(data), dataset.space, dataset.fps)
 
 
 def wide(kind: str, downscale: float) -> Subject:
@@ -82,21 +85,35 @@ def wide(kind: str, downscale: float) -> Subject:
         cameras.append(pinhole(f"cam{number:02d}", focal, middle, (width, height), pose))
     pictures = np.stack([render_view(spec, 0, camera) for camera in cameras])
     frame = FrameSet(0, 0, pictures, np.ones(len(cameras), np.bool_))
-    return Subject(tuple(cameras), frame, first_points(frame, cameras, depth_bounds=None), [], spec, spec.fps)
+    return Subject(
+        tuple(cameras), frame, first_points(frame, cameras, depth_bounds=None), [], spec, UNCHANGED, spec.fps
+    )
 
 
 def show(title: str, picture: Callable[[Camera], UInt8], subject: Subject, out: Path | None) -> None:
-    """Print what `picture` is worth at every place, and save it at the cameras."""
+    """Print what `picture` is worth at every place, and save it there."""
     print(title)
-    print(places_table(places(picture, subject.cameras, subject.frame.images, subject.spec, subject.frame.index)))
+    pictures, spec = subject.frame.images, subject.spec
+    print(places_table(places(picture, subject.cameras, pictures, spec, subject.frame.index, subject.space)))
     for camera, truth in subject.held_out:
         score = score_picture(picture(camera), truth, Perception())
         print(f"  held out {camera.name}: {score.psnr:.2f} dB, SSIM {score.ssim:.4f}")
     if out is not None:
-        for camera, truth in zip(subject.cameras, subject.frame.images, strict=True):
-            name = f"{title.split(':', maxsplit=1)[0].replace(' ', '-')}-{camera.name}.png"
-            write_png(result_folder(out) / name, side_by_side(truth, picture(camera)))
+        save(title.split(":", maxsplit=1)[0].replace(" ", "-"), picture, subject, result_folder(out))
     print(flush=True)
+
+
+def save(label: str, picture: Callable[[Camera], UInt8], subject: Subject, folder: Path) -> None:
+    """What is seen at the cameras, and beside them where that is known, truth on the left."""
+    shown = [(camera.name, camera, truth) for camera, truth in zip(subject.cameras, subject.frame.images, strict=True)]
+    shown += [(f"{camera.name}-held-out", camera, truth) for camera, truth in subject.held_out]
+    if subject.spec is not None:
+        for share in BESIDE:
+            for view in views_beside(subject.cameras, share):
+                truth = render_view(subject.spec, subject.frame.index, subject.space.inverse().camera(view))
+                shown.append((f"{view.name}-{share:g}-aside", view, truth))
+    for place, camera, truth in shown:
+        write_png(folder / f"{label}-{place}.png", side_by_side(truth, picture(camera)))
 
 
 def main() -> None:
@@ -115,8 +132,8 @@ def main() -> None:
     if options.data.startswith("wide:"):
         subject = wide(options.data.removeprefix("wide:"), options.downscale)
     else:
-        size = options.downscale, options.frame, options.views, tuple(options.test)
-        subject = recorded(Path(options.data), *size)
+        chosen = options.downscale, options.frame, options.views, tuple(options.test)
+        subject = recorded(Path(options.data), *chosen)
     warm = changed(preset(options.preset), [*options.set, "steps=8", "growth_interval=2"])
     Trainer(subject.cameras, warm, subject.fps, "cpu").keyframe(subject.frame, subject.points)  # compiling is not timed
     for seed in range(options.seeds):
