@@ -18,7 +18,6 @@ from streamlod.client.evaluation.measure.scores import Perception, load_percepti
 from streamlod.client.evaluation.options import StudyOptions
 from streamlod.client.evaluation.report.output import result_folder, side_by_side, write_json
 from streamlod.client.evaluation.report.plots import study_plots
-from streamlod.client.evaluation.report.quoted import quoted_json
 from streamlod.client.evaluation.report.report import study_report
 from streamlod.client.evaluation.resume import earlier_report
 from streamlod.client.evaluation.rows import Row, study_rows
@@ -100,7 +99,6 @@ def _empty_study(data: Path, options: StudyOptions) -> dict[str, Any]:
         "seeds": list(range(options.seeds)),
         "preset": options.preset,
         "splits": [],
-        "quoted": quoted_json(),
     }
 
 

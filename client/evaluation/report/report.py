@@ -9,18 +9,8 @@ from streamlod.client.evaluation.measure.moving import MOVING_METRICS
 from streamlod.client.evaluation.measure.places import PLACE_HEADINGS, PLACES
 from streamlod.client.evaluation.measure.scores import METRICS
 from streamlod.client.evaluation.measure.sizes import KEYFRAME_INTERVAL
-from streamlod.client.evaluation.report.quoted import (
-    ABLATIONS,
-    PEERS,
-    PEERS_SOURCE,
-    SOURCE,
-    TABLES,
-    Peer,
-    Quoted,
-    QuotedAblation,
-)
+from streamlod.client.evaluation.report.differences import differences_table
 from streamlod.client.evaluation.report.tables import number, spread_number, table
-from streamlod.client.evaluation.report.verdicts import verdict_table
 
 _QUALITY = ("system", *(metric.heading for metric in (*METRICS, *MOVING_METRICS)))
 _PLACES = ("system", *PLACE_HEADINGS)
@@ -66,7 +56,7 @@ def study_report(study: dict[str, Any]) -> str:
     ]
     for split in study["splits"]:
         lines += _split(split)
-    return "\n".join([*lines, *_quoted()])
+    return "\n".join(lines)
 
 
 def _split(split: dict[str, Any]) -> list[str]:
@@ -86,8 +76,8 @@ def _split(split: dict[str, Any]) -> list[str]:
             "",
             table(_MOTION, [_motion(row) for row in rows]),
         ]
-    lines += ["Differences from ours, means of runs with the same seed, and in brackets what the paper reports:", ""]
-    lines += [verdict_table(rows)]
+    lines += ["Differences from ours, means of runs with the same seed:", ""]
+    lines += [differences_table(rows)]
     lines += ["Seconds by stage, first frame and a later frame:", "", _stages(rows)]
     lines += ["The last frame with its coarsest levels only (first seed):", "", _caps(rows)]
     lines += [f"- **{row['name']}**: {row['note']}" for row in rows] + [""]
@@ -161,33 +151,3 @@ def _caps(rows: Sequence[dict[str, Any]]) -> str:
             figures = (number(cap["psnr"]), number(cap["ssim"], 4), *sizes, number(cap["render_fps"], 1))
             body.append([row["name"], str(count), *figures])
     return table(("system", "levels", "PSNR dB", "SSIM", "key KB", "P KB", "fps"), body)
-
-
-def _quoted() -> list[str]:
-    lines = [
-        "## Quoted, not measured here",
-        "",
-        f"From: {SOURCE}. Another machine and other first points: no like for like.",
-        "",
-    ]
-    head = ("views and method", "PSNR dB", "SSIM", "LPIPS", "MB a frame", "s a frame", "fps")
-    for name, rows in TABLES.items():
-        body = [[f"{row.views}: {row.method}", *_figures(row)] for row in rows]
-        lines += [f"### {name}", "", table(head, body)]
-    body = [[row.name, *_figures(row)] for row in ABLATIONS]
-    lines += ["### Ablations of StreamLoD-GS, Meet Room", "", table(("ablation", *head[1:]), body)]
-    head = ("method", "as given by, on", "PSNR dB", "SSIM", "KB a frame", "s a frame", "fps")
-    for name, peers in PEERS.items():
-        body = [[peer.method, peer.source, *_peer_figures(peer)] for peer in peers]
-        lines += [f"### Dense views, {name}", "", f"Quoted: {PEERS_SOURCE}.", "", table(head, body)]
-    return lines
-
-
-def _peer_figures(peer: Peer) -> list[str]:
-    quality = [number(peer.psnr), number(peer.ssim, 3)]
-    return [*quality, number(peer.kilobytes, 0), number(peer.seconds, 2), number(peer.fps, 0)]
-
-
-def _figures(row: Quoted | QuotedAblation) -> list[str]:
-    quality = [number(row.psnr), number(row.ssim, 3), number(row.lpips, 3)]
-    return [*quality, number(row.megabytes, 3), number(row.seconds, 3), number(row.fps, 1)]

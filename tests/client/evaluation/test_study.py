@@ -13,7 +13,6 @@ import pytest
 from streamlod.client.evaluation.design import one_at_a_time
 from streamlod.client.evaluation.measure.footage import chosen_split
 from streamlod.client.evaluation.options import StudyOptions, TradeoffOptions
-from streamlod.client.evaluation.report.quoted import MEET_ROOM, N3DV
 from streamlod.client.evaluation.resume import earlier_report
 from streamlod.client.evaluation.rows import Row, study_rows
 from streamlod.client.evaluation.study import run_study
@@ -135,15 +134,3 @@ def test_a_sweep_writes_points_fronts_and_plots(clip: Path, tmp_path: Path) -> N
     assert not any(name in beaten for name, beaten in better.items())
     report = (tmp_path / "tradeoff.md").read_text()
     assert all(name in report for name in names)
-
-
-def test_quoted_tables_hold_what_was_published() -> None:
-    """Spot checks, and the best value of each column in the blocks that name one."""
-    paper = {row.views: row for row in MEET_ROOM if row.method == "StreamLoD-GS"}
-    assert {views: row.psnr for views, row in paper.items()} == {3: 18.85, 4: 21.40, 5: 22.73, 12: 27.84}
-    for rows in (MEET_ROOM, N3DV):
-        for views in {row.views for row in rows}:
-            block = [row for row in rows if row.views == views]
-            assert max(block, key=lambda row: row.psnr).method == "StreamLoD-GS"
-            assert min(block, key=lambda row: row.seconds).method == "QUEEN"
-            assert "StreamLoD-GS" in min(block, key=lambda row: row.megabytes).method
