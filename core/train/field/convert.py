@@ -19,7 +19,6 @@ from streamlod.core.scene.anchors import (
     new_identifier,
 )
 from streamlod.core.scene.expand import EXTRA_LEVEL_UNIT, anchor_positions, dequantise
-from streamlod.core.scene.keyframe import coarseness
 from streamlod.core.scene.octree import morton_key
 from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.decode import Network
@@ -66,16 +65,6 @@ def scene_of(
     here = field.to("cpu")
     levels = tuple(_level_of(here, number, header) for number in range(field.octree.levels))
     return Scene(header, weights, levels, keyframe=version, version=version, identifier=new_identifier())
-
-
-def precision_of(scene: Scene, rows: Tensor) -> Precision:
-    """How the base numbers of `rows` of `scene` are rounded, in the coordinates in which they were sent."""
-    header = scene.header
-    shifts = np.concatenate([coarseness(level, np.arange(len(level))) for level in scene.levels])
-    identity = torch.eye(len(header.feature_steps), device=rows.device)
-    steps = (header.feature_steps, header.offset_steps.reshape(-1, 3), header.scaling_steps)
-    feature, offset, scaling = (torch.from_numpy(part.copy()).to(rows.device) for part in steps)
-    return Precision(identity, identity, feature, offset, scaling, torch.from_numpy(shifts).to(rows.device)[rows])
 
 
 def field_of(scene: Scene) -> Field:

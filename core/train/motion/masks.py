@@ -58,11 +58,6 @@ def _threshold(difference: Float32, floor: float) -> float:
     return min(max(floor, _NOISE_FACTOR * noise), _MAX_FLOOR * floor)
 
 
-def mixture_threshold(scores: Float64, posterior: float) -> float:
-    """Score from which an anchor is dynamic with at least `posterior`; see `mixture_thresholds`."""
-    return mixture_thresholds(scores, posterior)[0]
-
-
 def mixture_thresholds(scores: Float64, *posteriors: float) -> list[float]:
     """Scores from which an anchor is dynamic with at least each posterior, by a mixture of two Gaussians (paper eq. 8).
 
