@@ -102,11 +102,20 @@ class MovingLink:
                     edges, self._incarnation = at_edges(self.url, event.edges), event.incarnation
                 if isinstance(event, Notice) and event.name == "draining" and self._move is None:
                     self._move = asyncio.create_task(_join(self._link, edges, self._options))
-                if self._move is not None and self._move.done() and self._move.result() is not None:
+                if self._move is not None and self._move.done() and self._may_leave_for(self._move.result()):
                     return
         except (OSError, WebSocketException):
             if self._move is None:
                 raise
+
+    def _may_leave_for(self, joined: _Joined | None) -> bool:
+        """Whether this connection has shown all up to where the next one begins, which may be ahead."""
+        if joined is None:
+            return False
+        here, there = self.playback.position, joined.link.playback.position
+        if joined.incarnation != self._incarnation or here is None or there is None:
+            return True
+        return here >= there
 
 
 async def _chain(before: Iterable[Event], events: AsyncGenerator[Event, None]) -> AsyncGenerator[Event, None]:

@@ -19,8 +19,10 @@ import streamlod.client.playback
 from streamlod.client.connection.link import SUBPROTOCOL, WatchOptions
 from streamlod.client.connection.watch import back_off, watch
 from streamlod.client.events import Disconnected, Event, NewScene, Welcome
+from streamlod.codec.encoder import encode_residual
 from streamlod.core.errors import InputError, SessionError
-from tests.client.clips import packets, states
+from streamlod.core.scene.residual import difference
+from tests.client.clips import FRAME_NS, packets, states
 from tests.client.test_playback import WELCOME
 
 Behaviour = Callable[[ServerConnection], Awaitable[None]]
@@ -156,13 +158,40 @@ def test_an_edge_that_refuses_is_left_for_the_server_itself(status: int) -> None
     assert [type(event) for event in events] == [Disconnected, Welcome, NewScene, NewScene]
 
 
+async def tell(socket: ServerConnection, **fields: object) -> None:
+    await socket.send(json.dumps(fields))
+
+
+def moved(edge: Behaviour, stops: Behaviour) -> list[Event]:
+    """What `watch` tells of a server that welcomes as incarnation "a" and `stops`, and of the edge that it names."""
+
+    def answer(socket: ServerConnection, request: Request) -> Response | None:
+        return socket.respond(HTTPStatus.OK, "ready") if request.path == "/readyz" else None
+
+    async def run() -> list[Event]:
+        options = {"subprotocols": [SUBPROTOCOL], "compression": None}
+        async with asyncio.timeout(60), serve(edge, "127.0.0.1", 0, process_request=answer, **options) as other:  # type: ignore[arg-type]
+            place = f"http://127.0.0.1:{other.sockets[0].getsockname()[1]}"
+
+            async def begin(socket: ServerConnection) -> None:
+                await socket.recv()
+                await tell(socket, **{**WELCOME, "incarnation": "a", "edges": [place]})
+                await stops(socket)
+
+            async with serve(begin, "127.0.0.1", 0, **options) as home:  # type: ignore[arg-type]
+                url = f"ws://127.0.0.1:{home.sockets[0].getsockname()[1]}/v1/streams/main/live"
+                async with aclosing(watch(url)) as events:
+                    return [event async for event in events]
+
+    events = asyncio.run(run())
+    assert not any(isinstance(event, Disconnected) for event in events)
+    return events
+
+
 @pytest.mark.parametrize(("incarnation", "shown"), [("a", [0, 1, 2, 3, 4, 5]), ("b", [0, 1, 2, 3, 1, 2, 3, 4, 5])])
 def test_an_edge_that_is_behind_shows_nothing_again(incarnation: str, shown: list[int]) -> None:
     """Unless it has another incarnation of the stream, under which a position is another picture."""
     data, left = packets(states(6)), asyncio.Event()
-
-    async def tell(socket: ServerConnection, **fields: object) -> None:
-        await socket.send(json.dumps(fields))
 
     async def behind(socket: ServerConnection) -> None:
         await socket.recv()
@@ -175,31 +204,47 @@ def test_an_edge_that_is_behind_shows_nothing_again(incarnation: str, shown: lis
             await socket.send(packet)
         await socket.close(1000)
 
-    def answer(socket: ServerConnection, request: Request) -> Response | None:
-        return socket.respond(HTTPStatus.OK, "ready") if request.path == "/readyz" else None
+    async def stop(socket: ServerConnection) -> None:
+        for packet in data[:4]:
+            await socket.send(packet)
+        await tell(socket, type="event", event="draining")
+        await left.wait()
+        await socket.close(1001)
 
-    async def run() -> list[Event]:
-        options = {"subprotocols": [SUBPROTOCOL], "compression": None}
-        async with asyncio.timeout(20), serve(behind, "127.0.0.1", 0, process_request=answer, **options) as edge:  # type: ignore[arg-type]
-            place = f"http://127.0.0.1:{edge.sockets[0].getsockname()[1]}"
-
-            async def stop(socket: ServerConnection) -> None:
-                await socket.recv()
-                await tell(socket, **{**WELCOME, "incarnation": "a", "edges": [place]})
-                for packet in data[:4]:
-                    await socket.send(packet)
-                await tell(socket, type="event", event="draining", edges=[place])
-                await left.wait()
-                await socket.close(1001)
-
-            async with serve(stop, "127.0.0.1", 0, **options) as home:  # type: ignore[arg-type]
-                url = f"ws://127.0.0.1:{home.sockets[0].getsockname()[1]}/v1/streams/main/live"
-                async with aclosing(watch(url)) as events:
-                    return [event async for event in events]
-
-    events = asyncio.run(run())
-    assert not any(isinstance(event, Disconnected) for event in events)
+    events = moved(behind, stop)
     assert [event.scene.version for event in events if isinstance(event, NewScene)] == shown
+
+
+def test_an_edge_that_is_ahead_is_taken_where_it_began() -> None:
+    """The server that stops still has what comes before; it is not left until all of that has been shown."""
+    clip, joined = states(8), asyncio.Event()
+    data = packets(clip)
+    catch_up = encode_residual(clip[0], difference(clip[0], clip[5]), time_ns=5 * FRAME_NS, profile=0)
+
+    async def ahead(socket: ServerConnection) -> None:
+        await socket.recv()
+        await tell(socket, **{**WELCOME, "incarnation": "a"})
+        for packet in (data[0], catch_up):
+            await socket.send(packet)
+        await tell(socket, type="event", event="caught_up")
+        joined.set()
+        for packet in data[6:]:
+            await socket.send(packet)
+        await socket.close(1000)
+
+    async def stop(socket: ServerConnection) -> None:
+        for packet in data[:2]:
+            await socket.send(packet)
+        await tell(socket, type="event", event="draining")
+        await joined.wait()
+        for packet in data[2:6]:
+            for _ in range(10):  # there and back, so that the viewer knows of the other one meanwhile
+                await (await socket.ping())
+            await socket.send(packet)
+        await socket.wait_closed()
+
+    events = moved(ahead, stop)
+    assert [event.scene.version for event in events if isinstance(event, NewScene)] == list(range(8))
 
 
 def test_a_server_that_breaks_the_protocol_gets_one_more_chance() -> None:

@@ -40,7 +40,7 @@ def look(url: str, act: Callable[[], None], after: int, more: int, options: Watc
 
     async def run() -> Seen:
         seen, acted, end = Seen(), False, 0
-        async with asyncio.timeout(30), aclosing(watch(url, options)) as events:
+        async with asyncio.timeout(120), aclosing(watch(url, options)) as events:
             async for event in events:
                 match event:
                     case NewScene():
