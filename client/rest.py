@@ -60,7 +60,7 @@ class ServerClient:
 
     def server(self) -> dict[str, Any]:
         """Version, limits and capabilities."""
-        found = self._json("GET", "/v1/server")
+        found = self._json("/v1/server")
         if "protocol_versions" not in found:
             raise not_ours("does not say which versions of the protocol it knows")
         return found
@@ -75,7 +75,7 @@ class ServerClient:
 
     def definition(self, name: str) -> dict[str, Any]:
         """The options that a stream is made from."""
-        return self._json("GET", f"{_path(name)}/definition")
+        return self._json(f"{_path(name)}/definition")
 
     def create(self, name: str, options: Mapping[str, Any]) -> StreamInfo:
         """A new stream; `options` as in the body of ``POST /v1/streams``."""
@@ -99,7 +99,7 @@ class ServerClient:
 
     def viewers(self, name: str) -> tuple[ViewerInfo, ...]:
         """Who watches a stream."""
-        return tuple(read(ViewerInfo, item) for item in items_in(self._json("GET", f"{_path(name)}/viewers")))
+        return tuple(read(ViewerInfo, item) for item in items_in(self._json(f"{_path(name)}/viewers")))
 
     def disconnect(self, name: str, viewer: str) -> None:
         """Close a viewer's connection."""
@@ -173,14 +173,14 @@ class ServerClient:
         cursor = None
         while True:
             extra = {"limit": _MAX_ITEMS} | ({} if cursor is None else {"cursor": cursor})
-            page = self._json("GET", path, params | extra)
+            page = self._json(path, params | extra)
             yield from items_in(page)
             cursor = page.get("next_cursor")
             if cursor is None:
                 return
 
-    def _json(self, method: str, path: str, params: dict[str, Any] | None = None) -> dict[str, Any]:
-        return object_in(self._send(method, path, _JSON, params).content)
+    def _json(self, path: str, params: dict[str, Any] | None = None) -> dict[str, Any]:
+        return object_in(self._send("GET", path, _JSON, params).content)
 
     def _delete(self, path: str, params: dict[str, Any] | None = None, etag: str | None = None) -> None:
         self._send("DELETE", path, None, params, etag=etag)

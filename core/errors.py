@@ -3,6 +3,7 @@
     StreamlodError
     +-- InputError            a file, a folder, a picture or an option is not usable
     |   +-- StorageError      the disk is full, or does not take what is to be stored
+    |   +-- StreamGoneError   the stream was deleted meanwhile
     +-- BitstreamError        bytes that are not a valid packet or file (refusal codes in codec/FORMAT.md)
     +-- SessionError          a peer broke the viewer protocol
     +-- RequestRefused        a server refuses a REST request

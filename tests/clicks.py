@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from streamlod.codec.sound.beside import look_at_sound
-from streamlod.codec.sound.opus import read_sound
+from tests.opus import read_sound
 
 _CLICK_SECONDS = 0.01
 _LOUD = 0.2  # of full scale

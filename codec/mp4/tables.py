@@ -19,7 +19,6 @@ MAX_SAMPLES = 1 << 22  # of a file, all tracks together: a day and a half at 30 
 _USUAL_SAMPLES = 1 << 16  # that a file may name although it is too short for them: it may have been cut
 _WORD, _RUN, _LONG = struct.Struct(">I"), struct.Struct(">II"), struct.Struct(">Q")
 _BASE_OFFSET, _DESCRIPTION, _DURATION, _SIZE, _FLAGS = 1, 2, 8, 16, 32  # fields of tfhd
-_NO_BASE_BUT_MOOF = 0x020000
 _RUN_OFFSET, _RUN_FIRST_FLAGS = 1, 4
 _RUN_COLUMNS = (0x100, 0x200, 0x400, 0x800)  # duration, size, flags, offset of composition
 

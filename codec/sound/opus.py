@@ -1,12 +1,11 @@
-"""Ogg Opus files (RFC 7845), written from samples and read back."""
+"""Ogg Opus files (RFC 7845), written from samples."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import closing
 from fractions import Fraction
 from pathlib import Path
-from typing import cast
 
 import av
 import av.audio.stream
@@ -18,7 +17,6 @@ from streamlod.core.errors import InputError
 from streamlod.core.files import put_in_place, temporary_beside
 
 SAMPLE_RATE = 48_000  # the only rate at which Opus counts (RFC 7845, section 4)
-PACKET_SAMPLES = 960  # 20 ms
 BITS_A_SECOND = {1: 64_000, 2: 96_000}
 LAYOUTS = {1: "mono", 2: "stereo"}
 
@@ -60,19 +58,3 @@ def audio_frame(block: Int16, at: int) -> av.AudioFrame:
     frame = av.AudioFrame.from_ndarray(samples, format="s16", layout=LAYOUTS[block.shape[1]])
     frame.sample_rate, frame.pts, frame.time_base = SAMPLE_RATE, at, Fraction(1, SAMPLE_RATE)
     return frame
-
-
-def read_sound(path: Path) -> Iterator[Int16]:
-    """Blocks [N, channels] of a file's samples at 48 kHz, decoded as they are asked for.
-
-    Raises:
-        InputError: missing, or bytes that do not decode.
-    """
-    try:
-        with closing(av.open(str(path.absolute()), format="ogg", options={"protocol_whitelist": "file"})) as container:
-            resampler = av.AudioResampler("s16", rate=SAMPLE_RATE)
-            for frame in container.decode(container.streams.audio[0]):
-                for part in resampler.resample(frame):
-                    yield cast(Int16, part.to_ndarray()).reshape(-1, part.layout.nb_channels)
-    except (av.FFmpegError, OSError, ValueError, IndexError) as error:
-        raise InputError(path, "cannot be decoded as Ogg Opus; copy it again") from error

@@ -29,8 +29,8 @@ def cells_of(corners: Float64, size: tuple[int, int]) -> frozenset[Hashable]:
     return frozenset({*zip(across.tolist(), down.tolist(), strict=True), shape})
 
 
-def covering(wishes: Sequence[Iterable[Hashable]], at_most: int, enough: int = _ENOUGH) -> Int64:
-    """Ascending numbers of at most so many items that together fulfil each wish `enough` times, rarest first.
+def covering(wishes: Sequence[Iterable[Hashable]], at_most: int) -> Int64:
+    """Ascending numbers of at most so many items that together fulfil each wish often enough, rarest first.
 
     Args:
         wishes: what each item fulfils.
@@ -39,7 +39,7 @@ def covering(wishes: Sequence[Iterable[Hashable]], at_most: int, enough: int = _
     counts: Counter[Hashable] = Counter()
 
     def gain(item: int) -> float:
-        return sum(1 / (1 + counts[wish]) for wish in sets[item] if counts[wish] < enough)
+        return sum(1 / (1 + counts[wish]) for wish in sets[item] if counts[wish] < _ENOUGH)
 
     heap = [(-gain(item), item) for item in range(len(sets))]
     heapq.heapify(heap)
@@ -74,7 +74,7 @@ def candidates(tracks: Sequence[Track], offsets: Float64) -> Float64:
     return found
 
 
-def chosen_instants(tracks: Sequence[Track], offsets: Float64, at_most: int = MAX_INSTANTS) -> Float64:
+def chosen_instants(tracks: Sequence[Track], offsets: Float64) -> Float64:
     """[I] common times, ascending, at which the board is used.
 
     Args:
@@ -92,4 +92,4 @@ def chosen_instants(tracks: Sequence[Track], offsets: Float64, at_most: int = MA
         together = np.flatnonzero(sees[:, number])
         if len(together) > 1:  # a board that one camera sees alone says something of its lens only
             wishes[number] |= {("pair", *pair, weight) for pair in combinations(together, 2) for weight in range(4)}
-    return times[covering(wishes, at_most)]
+    return times[covering(wishes, MAX_INSTANTS)]

@@ -63,15 +63,14 @@ class Lpips:
         pair = np.stack(unit_pair(picture, truth)).astype(np.float32)
         if min(pair.shape[1:3]) < MIN_SIDE:
             raise ValueError(f"LPIPS needs pictures of at least {MIN_SIDE} pixels a side, not {pair.shape[1:3]}")
-        device = self.heads[0].device
-        shift, scale = (torch.tensor(values, device=device).view(1, 3, 1, 1) for values in (_SHIFT, _SCALE))
-        values = torch.from_numpy(pair).to(device).permute(0, 3, 1, 2) * 2 - 1
+        shift, scale = (torch.tensor(values).view(1, 3, 1, 1) for values in (_SHIFT, _SCALE))
+        values = torch.from_numpy(pair).permute(0, 3, 1, 2) * 2 - 1
         return float(self._compare((values - shift) / scale))
 
     def _compare(self, values: Tensor) -> Tensor:
         """Sum over feature layers of the weighted squared difference of unit features, mean over places (eq. 1)."""
         convolutions, heads = iter(self.convolutions), iter(self.heads)
-        total = torch.zeros((), device=values.device)
+        total = torch.zeros(())
         for step, first, second in _PLANS[self.net]:
             if step == "conv":
                 weight, bias = next(convolutions)
@@ -85,7 +84,7 @@ class Lpips:
         return total
 
 
-def load_lpips(net: Net = "alex", weights: Path | None = None, device: str = "cpu") -> Lpips:
+def load_lpips(net: Net = "alex", weights: Path | None = None) -> Lpips:
     """The network with its weights, from where `find_weights` finds them.
 
     Raises:
@@ -93,8 +92,6 @@ def load_lpips(net: Net = "alex", weights: Path | None = None, device: str = "cp
         InputError: a weight file that is not one.
     """
     found = find_weights(net, weights)
-    convolutions = tuple(
-        (torch.from_numpy(weight).to(device), torch.from_numpy(bias).to(device)) for weight, bias in found.convolutions
-    )
-    heads = tuple(torch.from_numpy(head).to(device).view(1, -1, 1, 1) for head in found.heads)
+    convolutions = tuple((torch.from_numpy(weight), torch.from_numpy(bias)) for weight, bias in found.convolutions)
+    heads = tuple(torch.from_numpy(head).view(1, -1, 1, 1) for head in found.heads)
     return Lpips(net, convolutions, heads)

@@ -23,7 +23,7 @@ from streamlod.codec.mp4.samples import samples_of
 from streamlod.codec.mp4.segment import beginning
 from streamlod.codec.packet.levels import split_levels
 from streamlod.codec.sound.beside import look_at_sound, sound_beside
-from streamlod.codec.sound.opus import read_sound, write_sound
+from streamlod.codec.sound.opus import write_sound
 from streamlod.codec.sound.packets import read_packets, samples_in
 from streamlod.core.arrays import Int16
 from streamlod.core.errors import BitstreamError, InputError
@@ -31,6 +31,7 @@ from streamlod.core.scene.keyframe import as_keyframe
 from streamlod.core.scene.residual import difference
 from tests.clicks import clicks, onsets
 from tests.codec.scenes import make_scene, move
+from tests.opus import read_sound
 from tests.server.conftest import make_clip
 from tests.work import memory
 

@@ -17,7 +17,7 @@ from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.address import Address
 from streamlod.server.ingest.cameras.opening import open_source
 
-LOOK_SECONDS = 15.0  # for all of them
+_LOOK_SECONDS = 15.0  # for all of them
 _MAX_PIXELS = 7680 * 4320
 _SKIPPED = 5  # pictures at first, in which a webcam finds its exposure
 
@@ -30,10 +30,8 @@ class Glance:
     fault: str = ""
 
 
-def look_through(
-    sources: Sequence[Address], fps: float, size: tuple[int, int] | None, seconds: float = LOOK_SECONDS
-) -> list[Glance]:
-    """A picture of each source, or why there is none after `seconds`.
+def look_through(sources: Sequence[Address], fps: float, size: tuple[int, int] | None) -> list[Glance]:
+    """A picture of each source, or why there is none after some seconds.
 
     Args:
         fps, size: asked of webcams; (width, height), or None for their default.
@@ -41,7 +39,7 @@ def look_through(
     looks = [_Looking(source, fps, size) for source in sources]
     for each in looks:
         each.start()
-    end = time.monotonic() + seconds
+    end = time.monotonic() + _LOOK_SECONDS
     for each in looks:
         each.join(max(0.0, end - time.monotonic()))
     return [each.found for each in looks]

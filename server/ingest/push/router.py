@@ -22,7 +22,7 @@ from streamlod.server.ingest.push.questions import answer as answer_question
 
 _LOG = logging.getLogger(__name__)
 _MAX_REASON_BYTES = 123  # bytes, RFC 6455 section 5.5
-MAX_SILENCE_SECONDS = 60.0  # between two pictures of a capture node; it may connect again
+_MAX_SILENCE_SECONDS = 60.0  # between two pictures; a node that is silent for longer is closed with 1013
 
 
 class AnyIntake(Protocol):
@@ -45,7 +45,6 @@ async def _always(_: WebSocket, __: str) -> None:
 def push_router(
     open_intake: Callable[[WebSocket, str], Awaitable[AnyIntake]],
     until_withdrawn: Callable[[WebSocket, str], Coroutine[Any, Any, None]] = _always,
-    silence_seconds: float = MAX_SILENCE_SECONDS,
 ) -> APIRouter:
     """The route ``/v1/streams/{stream_id}/ingest``.
 
@@ -53,7 +52,6 @@ def push_router(
         open_intake: given the request and the stream's id, checks the right to publish and gives what takes the
             pictures; raises SessionError to refuse.
         until_withdrawn: waits until the right to publish has ended, and then raises SessionError.
-        silence_seconds: a node that sends nothing for so long is closed with 1013.
     """
     router = APIRouter()
 
@@ -74,7 +72,7 @@ def push_router(
             except BaseException:
                 await asyncio.to_thread(intake.close)
                 raise
-            await _first(_take(websocket, intake, silence_seconds), until_withdrawn(websocket, stream_id))
+            await _first(_take(websocket, intake), until_withdrawn(websocket, stream_id))
         except SessionError as error:
             await _close(websocket, error.close_code, error.detail)
         except ClientDisconnected:  # perhaps before it was accepted, which is for uvicorn to know
@@ -101,13 +99,13 @@ async def _first(*works: Coroutine[Any, Any, None]) -> None:
         task.result()
 
 
-async def _take(websocket: WebSocket, intake: AnyIntake, silence_seconds: float) -> None:
+async def _take(websocket: WebSocket, intake: AnyIntake) -> None:
     """Pictures and questions one after the other: a node that is too fast waits for its acknowledgements."""
     loop = asyncio.get_running_loop()
     thread = ThreadPoolExecutor(1, thread_name_prefix="pushed")  # a worker that hangs could take the shared pool's
     try:
         while True:
-            received = await _receive(websocket, silence_seconds)
+            received = await _receive(websocket)
             if received["type"] == "websocket.disconnect":
                 return
             data = received.get("bytes")
@@ -127,13 +125,13 @@ async def _take(websocket: WebSocket, intake: AnyIntake, silence_seconds: float)
         await asyncio.to_thread(intake.close)
 
 
-async def _receive(websocket: WebSocket, silence_seconds: float) -> Message:
+async def _receive(websocket: WebSocket) -> Message:
     try:
-        async with asyncio.timeout(silence_seconds):
+        async with asyncio.timeout(_MAX_SILENCE_SECONDS):
             return await websocket.receive()
     except TimeoutError:
         raise SessionError(
-            CloseCode.BUSY, f"nothing came for {silence_seconds:g} s; connect again to send pictures"
+            CloseCode.BUSY, f"nothing came for {_MAX_SILENCE_SECONDS:g} s; connect again to send pictures"
         ) from None
 
 

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from streamlod.codec.sound.opus import read_sound
 from streamlod.codec.sound.packets import write_packets
 from streamlod.core.calibration.walk import open_walk
 from streamlod.server.auth.gate import hash_token
@@ -27,6 +26,7 @@ from tests.client.web.conftest import TEST_FLAGS, Console, chromium_path
 from tests.client.web.test_accessible import AXE, RULES
 from tests.client.web.test_browser import WAIT
 from tests.core.data.writers import write_video
+from tests.opus import read_sound
 from tests.server.conftest import running
 from tests.server.ingest.push.stage import FPS, HEIGHT, WIDTH, rig, stage
 

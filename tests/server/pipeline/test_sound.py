@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from streamlod.codec.sound.beside import look_at_sound, sound_beside
-from streamlod.codec.sound.opus import SAMPLE_RATE, read_sound
+from streamlod.codec.sound.opus import SAMPLE_RATE
 from streamlod.core.data import Dataset, open_dataset
 from streamlod.core.errors import InputError
 from streamlod.server.pipeline.sound import choose_sound, write_beside
 from tests.clicks import onsets, write_sounding
 from tests.core.data.writers import picture, write_video, write_video_clip
+from tests.opus import read_sound
 
 
 @pytest.fixture(scope="module")

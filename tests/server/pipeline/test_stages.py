@@ -18,7 +18,7 @@ from streamlod.codec.decoder import SceneDecoder
 from streamlod.codec.encoder import encode_residual
 from streamlod.codec.packet.info import peek
 from streamlod.codec.packet.packet import PacketKind
-from streamlod.codec.sound.opus import SAMPLE_RATE, read_sound
+from streamlod.codec.sound.opus import SAMPLE_RATE
 from streamlod.core.camera.space import Similarity
 from streamlod.core.data.dataset import FPS_OF_PICTURES
 from streamlod.core.errors import InputError, ModelError, TrainingCutShort
@@ -34,6 +34,7 @@ from tests.clicks import write_sounding
 from tests.core.data import writers
 from tests.core.data.writers import write_colmap_binary, write_picture
 from tests.core.true_points import true_points
+from tests.opus import read_sound
 from tests.server.brief import brief_training
 
 SPEC = SyntheticSpec(cameras=5, frames=4, width=64, height=36, seed=2)
