@@ -16,9 +16,9 @@ from streamlod.client.evaluation.design import BASE, Point, one_at_a_time
 from streamlod.client.evaluation.measure.footage import Footage, chosen_split, footage_frames, open_footage
 from streamlod.client.evaluation.measure.machine import machine
 from streamlod.client.evaluation.options import TradeoffOptions
-from streamlod.client.evaluation.report.figures import Axis, Dot, scatter
 from streamlod.client.evaluation.report.output import result_folder, write_json
 from streamlod.client.evaluation.report.pareto import pareto_front
+from streamlod.client.evaluation.report.plots import cost_plot
 from streamlod.client.evaluation.report.tables import number, table
 from streamlod.client.evaluation.resume import as_json, earlier_report
 from streamlod.client.evaluation.summary import mean, run_figures
@@ -139,8 +139,13 @@ def _write(out: Path, value: dict[str, Any]) -> None:
 
 def _draw(out: Path, value: dict[str, Any]) -> None:
     for cost in COSTS:
-        if value["fronts"].get(cost.key):
-            write_text(out / f"{cost.key}.svg", _plot(value, cost))
+        points = [
+            (point["name"], point[cost.key] / cost.scale, point["psnr"])
+            for point in value["points"]
+            if point[cost.key] is not None
+        ]
+        if points:
+            write_text(out / f"{cost.key}.svg", cost_plot(value["data"], cost.label, points))
 
 
 def fronts(points: Sequence[dict[str, Any]]) -> dict[str, list[str]]:
@@ -212,11 +217,3 @@ def _preset_line(point: dict[str, Any], points: Sequence[dict[str, Any]]) -> str
     best = "no other point has a higher PSNR at no more seconds and bytes a frame"
     verdict = f"beaten by {', '.join(better)}" if better else best
     return f"- {point['name']}: {verdict}"
-
-
-def _plot(value: dict[str, Any], cost: Cost) -> str:
-    front = set(value["fronts"][cost.key])
-    known = [point for point in value["points"] if point[cost.key] is not None]
-    dots = [Dot(point["name"], point[cost.key] / cost.scale, point["psnr"], point["name"] in front) for point in known]
-    logarithmic = all(dot.x > 0 for dot in dots)
-    return scatter(f"{value['data']}: PSNR against {cost.label}", Axis(cost.label, logarithmic), Axis("PSNR dB"), dots)

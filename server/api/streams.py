@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -36,6 +37,19 @@ _USUAL: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status i
 
 def _problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: PROBLEMS[status] for status in statuses}
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """Answer with a problem where the registry refuses to do something to a stream that was there."""
+    try:
+        yield
+    except StorageError as error:
+        raise Problem(507, str(error)) from error
+    except StreamGoneError as error:
+        raise Problem(404, str(error)) from error
+    except InputError as error:
+        raise Problem(409, str(error)) from error
 
 
 router = APIRouter(prefix="/v1/streams", tags=["streams"], responses=_USUAL)
@@ -127,14 +141,8 @@ async def change_stream(
     registry = registry_of(request)
     check_match(stream, if_match)
     spec = await _checked(lambda: body.apply_to(stream.spec), request)
-    try:
+    with _refusals():
         await registry.change(stream, spec)
-    except StorageError as error:
-        raise Problem(507, str(error)) from error
-    except StreamGoneError as error:
-        raise Problem(404, str(error)) from error
-    except InputError as error:
-        raise Problem(409, str(error)) from error
     response.headers.update(tag_headers(stream))
     return StreamBody.model_validate(stream.describe())
 
@@ -152,23 +160,15 @@ async def delete_stream(
     erase: Annotated[bool, Query(description="erase what was recorded, too")] = False,
 ) -> None:
     """Stop a stream and close its viewers with 1000. What was recorded stays on the disk unless `erase` is given."""
-    try:
+    with _refusals():
         await registry_of(request).delete(stream, erase=erase)
-    except StorageError as error:
-        raise Problem(507, str(error)) from error
-    except StreamGoneError as error:
-        raise Problem(404, str(error)) from error
 
 
 async def _withdraw(registry: Registry, stream: WorkerStream) -> None:
     """Remove a stream that never ran; what an earlier one of its id recorded stays."""
     recording = stream.bus.recording
-    try:
+    with _refusals(), suppress(StreamGoneError):
         await registry.delete(stream, erase=recording is None or not recording.segments)
-    except StorageError as error:
-        raise Problem(507, str(error)) from error
-    except StreamGoneError:
-        return
 
 
 async def _until_placed(request: Request, stream: WorkerStream) -> str:
@@ -187,12 +187,8 @@ async def _until_placed(request: Request, stream: WorkerStream) -> str:
 async def start_stream(stream: WorkerStreamOf, request: Request) -> StreamBody:
     """Start the worker; one that runs goes on, an ended source begins again. Where the workers' cluster has no room for
     it the answer is 409, with what would have to stop."""
-    try:
+    with _refusals():
         await registry_of(request).start_stream(stream)
-    except StreamGoneError as error:
-        raise Problem(404, str(error)) from error
-    except InputError as error:
-        raise Problem(409, str(error)) from error
     if no_room := await _until_placed(request, stream):
         raise Problem(409, no_room)
     return StreamBody.model_validate(stream.describe())
@@ -207,10 +203,8 @@ async def start_stream(stream: WorkerStreamOf, request: Request) -> StreamBody:
 )
 async def stop_stream(stream: WorkerStreamOf, request: Request) -> StreamBody:
     """Stop the worker; viewers stay connected and the recording stays."""
-    try:
+    with _refusals():
         await registry_of(request).stop_stream(stream)
-    except StreamGoneError as error:
-        raise Problem(404, str(error)) from error
     return StreamBody.model_validate(stream.describe())
 
 

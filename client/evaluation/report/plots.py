@@ -26,12 +26,8 @@ def study_plots(name: str, rows: Sequence[dict[str, Any]]) -> dict[str, str]:
         known = [row for row in rows if row["summary"][key] is not None]
         if not known:
             continue
-        costs = [row["summary"][key]["mean"] / scale for row in known]
-        quality = [row["summary"]["psnr"]["mean"] for row in known]
-        sign = -1 if key == "render_fps" else 1  # speed is no cost
-        front = pareto_front([(sign * cost, value) for cost, value in zip(costs, quality, strict=True)])
-        dots = [Dot(row["name"], costs[n], quality[n], n in front) for n, row in enumerate(known)]
-        plots[key] = scatter(f"{name}: PSNR against {label}", Axis(label, min(costs) > 0), Axis("PSNR dB"), dots)
+        points = [(row["name"], row["summary"][key]["mean"] / scale, row["summary"]["psnr"]["mean"]) for row in known]
+        plots[key] = cost_plot(name, label, points, is_speed=key == "render_fps")
     runs = {row["name"]: row["seeds"][0]["per_frame"] for row in rows}
     whole, moving = over_time(runs, "psnr"), over_time(runs, "moving_psnr")
     plots["frames"] = curves(f"{name}: PSNR by frame (first seed)", Axis("frame"), Axis("PSNR dB"), whole)
@@ -39,6 +35,19 @@ def study_plots(name: str, rows: Sequence[dict[str, Any]]) -> dict[str, str]:
         title = f"{name}: PSNR of moving pixels by frame (first seed)"
         plots["moving"] = curves(title, Axis("frame"), Axis("PSNR dB"), moving)
     return plots
+
+
+def cost_plot(name: str, label: str, points: Sequence[tuple[str, float, float]], *, is_speed: bool = False) -> str:
+    """An SVG document of (name, cost, PSNR) points and their front; the label names the cost and its unit.
+
+    Args:
+        is_speed: whether more of it is better.
+    """
+    sign = -1 if is_speed else 1
+    front = pareto_front([(sign * cost, quality) for _, cost, quality in points])
+    dots = [Dot(*point, number in front) for number, point in enumerate(points)]
+    is_logarithmic = all(dot.x > 0 for dot in dots)
+    return scatter(f"{name}: PSNR against {label}", Axis(label, is_logarithmic), Axis("PSNR dB"), dots)
 
 
 def over_time(runs: Mapping[str, Sequence[dict[str, Any]]], figure: str) -> list[Curve]:
