@@ -15,7 +15,7 @@ import numpy as np
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.camera.space import UNCHANGED, Similarity, training_space
-from streamlod.core.data.lens import Development, developments
+from streamlod.core.data.lens import Undistortion, undistortions
 from streamlod.core.data.names import camera_names, listed
 from streamlod.core.errors import InputError
 from streamlod.core.frames import FrameSet, PointCloud
@@ -103,14 +103,14 @@ class Dataset:
     Attributes:
         recording: where the pictures come from.
         rows: number in the recording of each camera used here.
-        developments: what makes a raw picture fit the camera, for each camera used here.
+        undistortions: what makes a raw picture fit the camera, for each camera used here.
         space: leads from the calibration's coordinates to those of `cameras`, points and depth bounds.
         cameras: pinholes that match the pictures of `frames`.
     """
 
     recording: RawRecording
     rows: tuple[int, ...]
-    developments: tuple[Development, ...]
+    undistortions: tuple[Undistortion, ...]
     space: Similarity = UNCHANGED
     cameras: tuple[Camera, ...] = field(init=False)
 
@@ -120,12 +120,12 @@ class Dataset:
     @property
     def calibrated(self) -> tuple[Camera, ...]:
         """The cameras in the calibration's own coordinates."""
-        return tuple(plan.camera for plan in self.developments)
+        return tuple(plan.camera for plan in self.undistortions)
 
     @property
     def upright(self) -> tuple[Camera, ...]:
         """The cameras as they stood: where pictures are turned to lie like others', before that."""
-        return tuple(self.space.camera(plan.upright) for plan in self.developments)
+        return tuple(self.space.camera(plan.upright) for plan in self.undistortions)
 
     @property
     def layout(self) -> str:
@@ -181,7 +181,7 @@ class Dataset:
         return replace(
             self,
             rows=tuple(self.rows[row] for row in rows),
-            developments=tuple(self.developments[row] for row in rows),
+            undistortions=tuple(self.undistortions[row] for row in rows),
         )
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[FrameSet]:
@@ -208,7 +208,7 @@ class Dataset:
             pool = stack.enter_context(ThreadPoolExecutor(min(count, os.cpu_count() or 1), "decode"))
             for index in range(start, stop):
                 images = np.zeros((count, height, width, 3), np.uint8)
-                present = pool.map(_develop, streams, self.developments, images, [index] * count)
+                present = pool.map(_undistort, streams, self.undistortions, images, [index] * count)
                 yield FrameSet(index, source.time_ns(index), images, np.array(list(present), np.bool_))
 
 
@@ -230,12 +230,12 @@ def dataset(recording: RawRecording, downscale: float = 1, cameras: Sequence[str
     rows = range(len(names)) if cameras is None else [_row_of(name, names, recording.path) for name in cameras]
     if not rows:
         raise InputError(recording.path, "needs at least one camera selected")
-    plans = developments([recording.cameras[row] for row in rows], downscale)
+    plans = undistortions([recording.cameras[row] for row in rows], downscale)
     chosen = Dataset(recording, tuple(rows), plans)
     return chosen.select(chosen.names)
 
 
-def _develop(stream: Iterator[UInt8 | None], plan: Development, into: UInt8, index: int) -> bool:
+def _undistort(stream: Iterator[UInt8 | None], plan: Undistortion, into: UInt8, index: int) -> bool:
     picture = next(stream)
     if picture is None:
         return False

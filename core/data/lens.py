@@ -21,8 +21,8 @@ from streamlod.core.errors import InputError
 _log = logging.getLogger(__name__)
 _BORDER_SAMPLES = 65
 _SHAPE_TOLERANCE = 0.01  # of width against height
-_LEAST_FOCAL = 0.05  # of a picture's longer side; no pinhole sees 169 degrees
-_FARTHEST_PRINCIPAL = 5.0  # longer sides from the picture's middle
+_MIN_FOCAL = 0.05  # of a picture's longer side; no pinhole sees 169 degrees
+_MAX_PRINCIPAL = 5.0  # longer sides from the picture's middle
 _MAX_ZOOM = 4.0  # a lens that needs more than this to fill a picture is not described by five coefficients
 _ITERATIONS = 30
 _ROUND_TRIP = 1e-6  # on the plane z = 1, far below a pixel
@@ -90,7 +90,7 @@ def scaled_size(width: int, height: int, downscale: float) -> tuple[int, int]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Development:
+class Undistortion:
     """A plan that turns one camera's raw pictures into those of its pinhole camera.
 
     Attributes:
@@ -121,7 +121,7 @@ class Development:
         return np.rot90(straight) if self.is_turned else straight
 
 
-def developments(cameras: Sequence[Camera], downscale: float) -> tuple[Development, ...]:
+def undistortions(cameras: Sequence[Camera], downscale: float) -> tuple[Undistortion, ...]:
     """A plan for each camera; all pictures get one size, which is that of the smallest, scaled down.
 
     Upright pictures among ones that lie, and the other way round, are turned to be like those of the first camera.
@@ -146,7 +146,7 @@ def developments(cameras: Sequence[Camera], downscale: float) -> tuple[Developme
     if len({(max(camera.width, camera.height), min(camera.width, camera.height)) for camera in cameras}) > 1:
         _log.warning("the cameras' pictures have several sizes; all are scaled to %dx%d", *size)
     return tuple(
-        replace(development(camera, size[::-1]), is_turned=True) if is_turned else development(camera, size)
+        replace(undistortion(camera, size[::-1]), is_turned=True) if is_turned else undistortion(camera, size)
         for camera, is_turned in zip(cameras, turned, strict=True)
     )
 
@@ -160,16 +160,16 @@ def _check_intrinsics(camera: Camera) -> None:
     side, middle = max(camera.width, camera.height), np.array([camera.width, camera.height]) / 2
     focal, principal = camera.intrinsics[[0, 1], [0, 1]], camera.intrinsics[:2, 2]
     fault = None
-    if focal.min() < _LEAST_FOCAL * side:
+    if focal.min() < _MIN_FOCAL * side:
         fault = f"focal length is {focal.min():g}"
-    elif np.abs(principal - middle).max() > _FARTHEST_PRINCIPAL * side:
+    elif np.abs(principal - middle).max() > _MAX_PRINCIPAL * side:
         fault = f"principal point is {principal[0]:g}, {principal[1]:g}"
     if fault is not None:
         size = f"{camera.width}x{camera.height}"
         raise InputError(f"camera {camera.name}", f"its {fault} for pictures of {size}; give it in pixels")
 
 
-def development(camera: Camera, size: tuple[int, int]) -> Development:
+def undistortion(camera: Camera, size: tuple[int, int]) -> Undistortion:
     """Plan for pictures of `size` by `camera`, whose own size and intrinsics are those of the raw pictures.
 
     The maps are computed here, once.
@@ -185,7 +185,7 @@ def development(camera: Camera, size: tuple[int, int]) -> Development:
             (camera.width, camera.height),
             cv2.CV_16SC2,
         )
-    return Development((camera.width, camera.height), straight.scaled(*size), maps)
+    return Undistortion((camera.width, camera.height), straight.scaled(*size), maps)
 
 
 def distort(points: Float64, coefficients: Float64) -> Float64:

@@ -21,7 +21,7 @@ from streamlod.core.camera import Camera
 from streamlod.core.camera.grid import period_of
 from streamlod.core.camera.space import UNCHANGED, Similarity
 from streamlod.core.data.dataset import scaled_bounds
-from streamlod.core.data.lens import Development, developments
+from streamlod.core.data.lens import Undistortion, undistortions
 from streamlod.core.errors import InputError
 from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.server.ingest.ahead import just_in_time
@@ -33,7 +33,7 @@ from streamlod.server.ingest.statistics import Statistics
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import Instant
 
-_Developed = tuple[Instant, UInt8, Bool]  # an instant, its pictures' pixels [C,H,W,3], which cameras [C] have one
+_Undistorted = tuple[Instant, UInt8, Bool]  # an instant, its pictures' pixels [C,H,W,3], which cameras [C] have one
 
 
 @dataclass(eq=False)
@@ -42,7 +42,7 @@ class LiveDataset:
 
     Attributes:
         definition: of the rig.
-        developments: for each camera used, undistorts and scales its raw pictures.
+        undistortions: for each camera used, undistorts and scales its raw pictures.
         push_socket: where to take pictures that the serving process relays, while frames are read; or none.
         give_sound: takes the rig's sound as it comes, while frames are read; or none.
         space: leads from the calibration's coordinates to those of `cameras`, points and depth bounds.
@@ -50,7 +50,7 @@ class LiveDataset:
     """
 
     definition: RigDefinition
-    developments: tuple[Development, ...]
+    undistortions: tuple[Undistortion, ...]
     push_socket: Path | None = None
     give_sound: Callable[[SoundPiece], None] | None = None
     space: Similarity = UNCHANGED
@@ -59,12 +59,12 @@ class LiveDataset:
     _rig: Rig | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
-        self.cameras = tuple(self.space.camera(plan.camera) for plan in self.developments)
+        self.cameras = tuple(self.space.camera(plan.camera) for plan in self.undistortions)
 
     @property
     def upright(self) -> tuple[Camera, ...]:
         """The cameras as they stood, see `Dataset.upright`."""
-        return tuple(self.space.camera(plan.upright) for plan in self.developments)
+        return tuple(self.space.camera(plan.upright) for plan in self.undistortions)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -91,7 +91,7 @@ class LiveDataset:
 
     def placed(self, space: Similarity) -> LiveDataset:
         """The same rig in another space, to which `space` leads from the calibration's coordinates."""
-        return LiveDataset(self.definition, self.developments, self.push_socket, self.give_sound, space)
+        return LiveDataset(self.definition, self.undistortions, self.push_socket, self.give_sound, space)
 
     def select(self, names: Sequence[str]) -> LiveDataset:
         """The same rig with the cameras `names` only, in that order; others are not read.
@@ -101,7 +101,7 @@ class LiveDataset:
         Raises:
             InputError: a name that does not exist, or given twice.
         """
-        plans = {plan.camera.name: plan for plan in self.developments}
+        plans = {plan.camera.name: plan for plan in self.undistortions}
         unknown = [name for name in names if name not in plans]
         if unknown:
             raise InputError(self.definition.path, f"has no camera {unknown[0]!r:.80}; it has {', '.join(plans)}")
@@ -149,20 +149,20 @@ class LiveDataset:
         with ExitStack() as stack:
             stack.callback(self._release)
             stack.callback(rig.stop)
-            pool = stack.enter_context(ThreadPoolExecutor(min(len(self.cameras), os.cpu_count() or 1), "develop"))
+            pool = stack.enter_context(ThreadPoolExecutor(min(len(self.cameras), os.cpu_count() or 1), "undistort"))
             if self.push_socket is not None and rig.pushed:
                 stack.enter_context(listening(self.push_socket, lambda: Intake(rig)))
             self._rig = rig  # only now does it take what is pushed
             rig.start()
             instants = rig.instants()
 
-            def develop() -> _Developed | None:
-                developed = (self._developed(rig, instant, pool) for instant in instants)
-                return next((found for found in developed if found[2].any()), None)
+            def undistort() -> _Undistorted | None:
+                undistorted = (self._undistorted(rig, instant, pool) for instant in instants)
+                return next((found for found in undistorted if found[2].any()), None)
 
-            found: Iterator[_Developed] = iter(develop, None)
+            found: Iterator[_Undistorted] = iter(undistort, None)
             if self.definition.realtime:
-                found = stack.enter_context(closing(just_in_time(develop, lambda _: rig.note_stale())))
+                found = stack.enter_context(closing(just_in_time(undistort, lambda _: rig.note_stale())))
             first: Instant | None = None
             while index != stop:
                 rig.waiting = True
@@ -179,12 +179,12 @@ class LiveDataset:
                 yield FrameSet(index, time_ns, images, present, latency_ns)
                 index += 1
 
-    def _developed(self, rig: Rig, instant: Instant, pool: ThreadPoolExecutor) -> _Developed:
+    def _undistorted(self, rig: Rig, instant: Instant, pool: ThreadPoolExecutor) -> _Undistorted:
         """The instant with its pictures' pixels, and which cameras have one."""
         height, width = self.cameras[0].height, self.cameras[0].width
         images = np.zeros((len(self.cameras), height, width, 3), np.uint8)
 
-        def one(plan: Development, picture: Picture | None, into: UInt8) -> bool:
+        def one(plan: Undistortion, picture: Picture | None, into: UInt8) -> bool:
             if picture is None:
                 return False
             try:
@@ -195,7 +195,7 @@ class LiveDataset:
             rig.note_decoded(picture.camera)
             return True
 
-        present = list(pool.map(one, self.developments, instant.pictures, images))
+        present = list(pool.map(one, self.undistortions, instant.pictures, images))
         return instant, images, np.array(present, np.bool_)
 
     def _release(self) -> None:
@@ -224,4 +224,4 @@ def open_live(
             raise InputError(f"camera {camera.name}", f"there is no file {address.url}")
     if not 1 <= downscale <= 64:
         raise InputError("downscale", f"must lie between 1 and 64, not {downscale}")
-    return LiveDataset(definition, developments(definition.cameras, downscale), push_socket, give_sound)
+    return LiveDataset(definition, undistortions(definition.cameras, downscale), push_socket, give_sound)

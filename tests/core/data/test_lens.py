@@ -12,14 +12,14 @@ import pytest
 from streamlod.core.arrays import Float64, UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.data.lens import (
-    development,
-    developments,
     distort,
     opencv_camera,
     opencv_matrix,
     scaled_size,
     undistort,
     undistorted_camera,
+    undistortion,
+    undistortions,
 )
 from streamlod.core.errors import InputError
 from tests.core.data.writers import rig
@@ -57,20 +57,20 @@ def _picture(camera: Camera) -> UInt8:
 
 @pytest.mark.parametrize("coefficients", [BARREL, PINCUSHION], ids=["barrel", "pincushion"])
 @pytest.mark.parametrize("downscale", [1, 2, 2.5])
-def test_developed_pictures_are_those_of_the_pinhole(coefficients: Float64, downscale: float) -> None:
+def test_undistorted_pictures_are_those_of_the_pinhole(coefficients: Float64, downscale: float) -> None:
     camera = _camera(coefficients)
-    plan = development(camera, scaled_size(camera.width, camera.height, downscale))
-    developed = plan(_picture(camera))
+    plan = undistortion(camera, scaled_size(camera.width, camera.height, downscale))
+    undistorted = plan(_picture(camera))
     expected = _picture(plan.camera)
     assert not plan.camera.has_distortion
-    assert developed.shape == (plan.camera.height, plan.camera.width, 3)
-    difference = np.abs(developed.astype(int) - expected)
+    assert undistorted.shape == (plan.camera.height, plan.camera.width, 3)
+    difference = np.abs(undistorted.astype(int) - expected)
     assert difference.mean() < 0.5
     assert difference.max() <= 6  # no empty corner and no half-pixel shift, which would be up to 12
 
 
 def test_half_a_pixel_of_shift_would_be_noticed() -> None:
-    plan = development(_camera(BARREL), (240, 160))
+    plan = undistortion(_camera(BARREL), (240, 160))
     intrinsics = plan.camera.intrinsics.copy()
     intrinsics[:2, 2] += 0.5
     shifted = np.abs(_picture(plan.camera).astype(int) - _picture(replace(plan.camera, intrinsics=intrinsics)))
@@ -106,12 +106,12 @@ def test_points_beyond_the_lens_are_not_invented() -> None:
 
 def test_absurd_distortion_is_refused() -> None:
     with pytest.raises(InputError, match="camera cam: its distortion"):
-        development(_camera(np.array([-2.0, 0, 0, 0, 0])), (240, 160))
+        undistortion(_camera(np.array([-2.0, 0, 0, 0, 0])), (240, 160))
 
 
 def test_pictures_of_one_shape_get_the_smallest_size() -> None:
     cameras = [_camera(BARREL), _camera(np.zeros(5)).scaled(480, 320), _camera(BARREL).scaled(121, 80)]
-    plans = developments(cameras, 2)
+    plans = undistortions(cameras, 2)
     assert [plan.raw_size for plan in plans] == [(240, 160), (480, 320), (121, 80)]
     assert {(plan.camera.width, plan.camera.height) for plan in plans} == {(60, 40)}
     np.testing.assert_allclose(plans[1].camera.intrinsics[:2], _camera(BARREL).intrinsics[:2] / 4)
@@ -120,7 +120,7 @@ def test_pictures_of_one_shape_get_the_smallest_size() -> None:
 def test_upright_pictures_are_turned_to_lie_like_the_first() -> None:
     intrinsics = np.array([[200, 0, 83], [0, 204, 118], [0, 0, 1.0]])
     tall = replace(_camera(BARREL), width=160, height=240, intrinsics=intrinsics)
-    wide, turned = developments([_camera(np.zeros(5)).scaled(480, 320), tall], 2)
+    wide, turned = undistortions([_camera(np.zeros(5)).scaled(480, 320), tall], 2)
     assert (turned.upright.width, turned.upright.height) == (80, 120)
     assert {(plan.camera.width, plan.camera.height) for plan in (wide, turned)} == {(120, 80)}, "the smaller one's size"
     difference = np.abs(turned(_picture(tall)).astype(int) - np.rot90(_picture(turned.upright)))
@@ -128,7 +128,7 @@ def test_upright_pictures_are_turned_to_lie_like_the_first() -> None:
     assert difference.max() <= 6
     np.testing.assert_array_equal(turned.camera.intrinsics, turned.upright.turned().intrinsics)
     assert not wide.is_turned
-    first, other = developments([tall, _camera(BARREL)], 1)
+    first, other = undistortions([tall, _camera(BARREL)], 1)
     assert (first.camera.width, first.camera.height) == (other.camera.width, other.camera.height) == (160, 240)
 
 
@@ -148,7 +148,7 @@ def test_upright_pictures_are_turned_to_lie_like_the_first() -> None:
 )
 def test_pictures_that_do_not_belong_together_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        developments([_camera(np.zeros(5)), replace(_camera(np.zeros(5)), **change)], 1)
+        undistortions([_camera(np.zeros(5)), replace(_camera(np.zeros(5)), **change)], 1)
 
 
 def test_opencv_camera_and_matrix_are_inverse() -> None:
@@ -165,4 +165,4 @@ def test_sizes_after_scaling_down() -> None:
 
 def test_pictures_at_full_size_without_distortion_pass_unchanged() -> None:
     image = _picture(_camera(np.zeros(5)))
-    assert development(_camera(np.zeros(5)), (240, 160))(image) is image
+    assert undistortion(_camera(np.zeros(5)), (240, 160))(image) is image

@@ -72,8 +72,8 @@ def moved(dataset: Dataset, change: Similarity) -> Dataset:
     assert recording.depth_bounds is not None
     cameras = tuple(change.camera(camera) for camera in recording.cameras)
     recording = replace(recording, cameras=cameras, depth_bounds=change.depths(recording.depth_bounds))
-    plans = tuple(replace(plan, upright=change.camera(plan.upright)) for plan in dataset.developments)
-    return replace(dataset, recording=recording, developments=plans)
+    plans = tuple(replace(plan, upright=change.camera(plan.upright)) for plan in dataset.undistortions)
+    return replace(dataset, recording=recording, undistortions=plans)
 
 
 @pytest.fixture(scope="module")
