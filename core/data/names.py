@@ -41,7 +41,11 @@ def folders_in(folder: Path) -> list[Path]:
 
 
 def like_most(folders: Sequence[Path]) -> list[Path]:
-    """Those of `folders` whose names differ only in their digits, if that is more than half of them; else all."""
+    """Those of `folders` whose names differ only in their digits, if that is more than half of them; else all.
+
+    Names without digits count only where none has any, as a system's own folders have none (``@eaDir``).
+    """
+    folders = [folder for folder in folders if re.search(r"\d", folder.name)] or folders
     shapes = [re.sub(r"\d+", "0", folder.name) for folder in folders]
     common = Counter(shapes).most_common(1)
     if not common or 2 * common[0][1] <= len(folders):

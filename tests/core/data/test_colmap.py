@@ -440,6 +440,17 @@ def test_stray_folders_are_no_instants(tmp_path: Path, stray: str) -> None:
     assert open_dataset(tmp_path).frame_count == 3
 
 
+def test_many_stray_folders_beside_few_instants_are_none(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """As network drives and other systems leave behind."""
+    write_colmap_text(tmp_path / "sparse" / "0", [(f"{c.name}.png", c, "PINHOLE") for c in rig(NAMES)], POINTS)
+    for index, name in enumerate(NAMES):
+        write_picture(tmp_path / "frames" / "0000" / f"{name}.png", picture(index, 0))
+    for folder in ("@eaDir", "$RECYCLE.BIN", "lost+found"):
+        (tmp_path / "frames" / folder).mkdir()
+    assert [frame.present.all() for frame in open_dataset(tmp_path).frames()] == [True]
+    assert "@eaDir" in caplog.text
+
+
 def test_stray_folders_beside_instants_with_models_are_no_instants(tmp_path: Path) -> None:
     for t in range(3):
         for index, name in enumerate(NAMES):
