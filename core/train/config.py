@@ -15,7 +15,7 @@ LevelSelection = Literal["all", "distance"]
 
 @dataclass(frozen=True, slots=True)
 class ModelConfig:
-    """What a scene is made of."""
+    """The model of a scene: levels, anchors and their numbers."""
 
     gaussians_per_anchor: int = setting(2, "K of each anchor", given(10, "V-A", "K is 10"))
     features: int = setting(16, "size F of an anchor's feature", octree_gs(32, "its feature size"))

@@ -1,4 +1,4 @@
-"""What training reports while it runs, and what it returns."""
+"""Reports of training while it runs, and its results."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ LEFT_OUT = "left out"
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """What the paper takes for a setting.
+    """The choice of the paper for a setting.
 
     Attributes:
         value: of the field.

@@ -23,7 +23,7 @@ _NEW = 0.1  # share of a packet that anchors may take which are added
 
 @dataclass(frozen=True, slots=True)
 class RatePlan:
-    """What the next frame may spend.
+    """The bits and anchors that the next frame may spend.
 
     Attributes:
         weight_factor: of the configured rate weight.

@@ -49,7 +49,7 @@ class Field:
         return self.offset.shape[1]
 
     def view(self, centre: Tensor) -> ViewInput | None:
-        """What the network sees from a camera at `centre` [3]."""
+        """The inputs of the network for a camera at `centre` [3]."""
         return ViewInput(centre, self.reference_distance) if self.view_dependent else None
 
     @property

@@ -1,4 +1,4 @@
-"""What a state shows its cameras."""
+"""Pictures of a state at its cameras."""
 
 from __future__ import annotations
 

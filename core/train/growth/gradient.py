@@ -1,4 +1,4 @@
-"""What `GradientGrowth` computes: statistics of gradients and opacities, and where anchors are to be added.
+"""Statistics of gradients and opacities, and the places where `GradientGrowth` adds anchors.
 
 The rules are those of Octree-GS (docs/method.md, readings 3, 11 and 13).
 """

@@ -50,7 +50,7 @@ class NearSpace:
 
 
 def near_space(points: PointCloud, cameras: tuple[Camera, ...]) -> NearSpace:
-    """What first points say of the space before `cameras`."""
+    """The empty space before `cameras`, as first points tell it."""
     return NearSpace(cameras, tuple(_nearest(points.positions.astype(np.float64), camera) for camera in cameras))
 
 

@@ -1,4 +1,4 @@
-"""What Gaussians cost whatever they show: volume (Octree-GS; docs/method.md, reading 20) and opacity in view."""
+"""The price of Gaussians whatever they show: volume (Octree-GS; docs/method.md, reading 20) and opacity in view."""
 
 from __future__ import annotations
 

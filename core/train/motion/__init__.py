@@ -1,1 +1,1 @@
-"""What moves: pixels first, then anchors."""
+"""Finds what moves: pixels first, then anchors."""

@@ -1,4 +1,4 @@
-"""What moves: pixels first, then anchors (paper section IV-B; docs/method.md, readings 16 to 18).
+"""Finds what moves: pixels first, then anchors (paper section IV-B; docs/method.md, readings 16 to 18).
 
 Pixels: each camera's picture is compared with its *reference*: what was filmed when a change was last accepted there,
 or what the model shows where training of that goes on. Only changes above the camera's own noise count, so a still
@@ -20,7 +20,7 @@ _BLUR = (5, 5)  # pixels; averages the noise, keeps edges of moving things
 _NOISE_FACTOR = 5.0  # standard deviations of the blurred difference
 _MAX_FLOOR = 4.0  # floors; no camera worth using is noisier after the blur
 _SEED_FACTOR = 1.6  # a region of change needs a seed this much above the threshold
-_SMALLEST_REGION = 12  # pixels
+_MIN_REGION = 12  # pixels
 _GROW = 5  # pixels that a region is widened by: the blur and the object's edge
 _MIN_SCORED = 16  # below so many scored anchors a mixture means nothing
 _POWER = 0.25
@@ -38,7 +38,7 @@ def changed_pixels(reference: Float32, current: Float32, floor: float) -> Bool:
     count, labels, statistics, _ = cv2.connectedComponentsWithStats(weak, connectivity=8)
     strongest = np.zeros(count, np.float32)
     np.maximum.at(strongest, labels.ravel().astype(np.int64), difference.ravel())
-    accepted = (strongest > _SEED_FACTOR * threshold) & (statistics[:, cv2.CC_STAT_AREA] >= _SMALLEST_REGION)
+    accepted = (strongest > _SEED_FACTOR * threshold) & (statistics[:, cv2.CC_STAT_AREA] >= _MIN_REGION)
     accepted[0] = False
     mask = accepted[labels].astype(np.uint8)
     return np.asarray(cv2.dilate(mask, np.ones((_GROW, _GROW), np.uint8)) > 0)

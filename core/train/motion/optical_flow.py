@@ -16,7 +16,7 @@ from streamlod.core.train.pictures.boxes import around
 from streamlod.core.train.pictures.parallel import map_pairs
 from streamlod.core.train.pictures.views import Views
 
-_SMALLEST = 16  # pixels; the method refuses smaller pictures
+_MIN_SIDE = 16  # pixels; the method refuses smaller pictures
 _ROOM = 32  # pixels around those that changed, in which flow is looked for
 _VISIBLE = 0.05  # summed opacity of an anchor that shows anything
 
@@ -68,7 +68,7 @@ def picture_flow(before: Float32, now: Float32) -> Float32:
 
     Zero where a side has too few pixels for the method.
     """
-    if min(before.shape[:2]) < _SMALLEST:
+    if min(before.shape[:2]) < _MIN_SIDE:
         return np.zeros((*before.shape[:2], 2), np.float32)
     finder = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     return np.asarray(finder.calc(_grey(before), _grey(now), None))  # type: ignore[call-overload]

@@ -1,4 +1,4 @@
-"""What it is decided from which anchors a frame trains."""
+"""The evidence by which it is decided which anchors a frame trains."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from streamlod.core.train.pictures.views import Views
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """What a motion cue decides from: the state of N anchors, and C cameras' pictures of the next instant.
+    """The evidence of a motion cue: the state of N anchors, and C cameras' pictures of the next instant.
 
     Attributes:
         field: the state before; canonical: the keyframe's field, with the same rows.

@@ -1,4 +1,4 @@
-"""What a frame's residual will cost, as a term of the loss: the codec's own tables, so that training pays what is sent.
+"""The bits of a frame's residual, as a term of the loss: the codec's own tables, so that training pays what is sent.
 
 A value is coded under a bin of its expected magnitude. Here, as in the codec, that expectation comes from the other
 values of the anchor and from the average anchor; it is a constant to the gradient. Between integers the cost is
@@ -95,7 +95,7 @@ def _priced(values: Tensor) -> tuple[Tensor, Tensor]:
 
 @functools.lru_cache(maxsize=4)
 def _constants(device: torch.device, dtype: torch.dtype) -> tuple[Tensor, ...]:
-    """What `_priced` multiplies by; kept on the device.
+    """The factors of `_priced`; kept on the device.
 
     Returns:
         [BINS * _HIGHEST] bits of each magnitude in each bin; [BINS * _HIGHEST] how many more bits the next magnitude
@@ -127,7 +127,7 @@ def _magnitude(values: Tensor) -> Tensor:
 
 
 def _rounded(size: Tensor) -> Tensor:
-    """What magnitudes are quantised to."""
+    """Quantised magnitudes."""
     return (size + DEFAULT_OFFSET).floor()
 
 

@@ -1,4 +1,4 @@
-"""What changes over a run: learning rates, dropout, unlocked levels, the order of views."""
+"""Schedules of a run: learning rates, dropout, unlocked levels, the order of views."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ Result = TypeVar("Result")
 
 
 def map_pairs(function: Callable[[Float32, Float32], Result], pairs: Sequence[tuple[Float32, Float32]]) -> list[Result]:
-    """What `function` gives for each pair of pictures [H,W,3], in order, on as many threads as kernels use.
+    """The results of `function` for each pair of pictures [H,W,3], in order, on as many threads as kernels use.
 
     OpenCV and most of NumPy let other threads run meanwhile. `function` must not use tensors: torch has threads of its
     own for them.

@@ -9,7 +9,7 @@ from torch.nn import functional
 
 from streamlod.core.camera import Camera
 
-_LEAST_ROWS = 80  # of small pictures
+_MIN_ROWS = 80  # of small pictures
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +38,7 @@ class Views:
         None is smaller than 80 rows, so that small ones are there at their own size alone.
         """
         sizes = [self]
-        while sizes[0].targets.shape[1] >= 2 * _LEAST_ROWS:
+        while sizes[0].targets.shape[1] >= 2 * _MIN_ROWS:
             sizes.insert(0, sizes[0].halved())
         return sizes
 

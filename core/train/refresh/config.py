@@ -17,7 +17,7 @@ _REFINEMENTS = 8  # of one run, in which anchors are added and removed
 
 
 def refresh_config(config: TrainConfig, field: Field, version: int) -> TrainConfig:
-    """What a first frame's run becomes for `field`, the living anchors of a state at `version`.
+    """The settings of a first frame's run, changed for `field`, the living anchors of a state at `version`.
 
     As many steps as configured, at full size and with all levels from the start. The number of levels stays. Anchors
     that the pictures do not need go. Where later frames add anchors, none is added here; otherwise no more than go, or
