@@ -27,7 +27,7 @@ LAYERS = {
         "camera", "frames", "scene", "render metrics data synthetic initialise", "train calibration",
     ),
     "core.train": (
-        "setting config pictures kernels control progress", "optimise loss", "field", "growth motion",
+        "setting config pictures kernels control progress", "optimise loss", "field", "growth motion engine",
         "keyframe later_frame", "refresh paper", "presets", "trainer",
     ),
     "server": (

@@ -24,11 +24,11 @@ from typing import Any
 import torch
 import warp as wp
 
+from streamlod.core.train.engine.warp.room import view_of
+from streamlod.core.train.engine.warp.step import TrainingStep
 from tests.bench.step_subject import Sizes, make_step, told, work
-from tests.device.warp_step.room import view_of
-from tests.device.warp_step.step import TrainingStep
 
-TESTS = ("tests/core/render/warp", "tests/device/warp_step")
+TESTS = ("tests/core/render/warp", "tests/core/train/engine/warp")
 GPU_TESTS = ("tests/core/render/test_cuda.py", "tests/core/train/test_cuda.py")
 STEPS = 60
 SMALL = Sizes(anchors=300, moving=40, slots=4, width=96, height=54, cameras=3)

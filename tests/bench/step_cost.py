@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 import warp as wp
 
+from streamlod.core.train.engine.warp.step import TrainingStep
 from tests.bench.step_subject import Sizes, make_step, told, work
-from tests.device.warp_step.step import TrainingStep
 
 NODE_SECONDS = 1.3e-6
 SORT_PASSES_BITS = 8  # a pass of CUB's radix sort takes so many bits; a histogram and a scan come before

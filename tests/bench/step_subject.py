@@ -10,14 +10,14 @@ import torch
 from streamlod.core.camera import Camera, look_at, pinhole
 from streamlod.core.scene.anchors import HIDDEN, OUTPUTS, SCALINGS
 from streamlod.core.scene.octree import Octree
+from streamlod.core.train.engine.warp.frame import begin, load_anchors, load_cameras, load_pictures, load_still
+from streamlod.core.train.engine.warp.frame_steps import StepSettings
+from streamlod.core.train.engine.warp.frame_steps import told as told_step
+from streamlod.core.train.engine.warp.room import Capacity, StepRoom, step_room, view_of
+from streamlod.core.train.engine.warp.step import TrainingStep
 from streamlod.core.train.field.decode import Network
 from streamlod.core.train.field.exposure import neutral
 from streamlod.core.train.field.field import Field
-from tests.device.warp_step.frame import begin, load_anchors, load_cameras, load_pictures, load_still
-from tests.device.warp_step.frame_steps import StepSettings
-from tests.device.warp_step.frame_steps import told as told_step
-from tests.device.warp_step.room import Capacity, StepRoom, step_room, view_of
-from tests.device.warp_step.step import TrainingStep
 
 FEATURES = 32
 MEMORY, RATES, PRICE, DSSIM = 0.6, (0.3, 0.7), 0.007, 0.2  # of the preset live

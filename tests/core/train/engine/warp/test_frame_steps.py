@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 import torch
 
+from streamlod.core.train.engine.warp.frame import begin, load_pictures
+from streamlod.core.train.engine.warp.frame_steps import FrameSteps, StepSettings, told
+from streamlod.core.train.engine.warp.room import view_of
+from streamlod.core.train.engine.warp.step import TrainingStep
 from streamlod.core.train.optimise.adam import RowAdam
 from tests.bench.step_subject import Sizes, make_step
-from tests.device.warp_step.frame import begin, load_pictures
-from tests.device.warp_step.frame_steps import FrameSteps, StepSettings, told
-from tests.device.warp_step.room import view_of
-from tests.device.warp_step.rooms import DSSIM, PRICE, small_frame
-from tests.device.warp_step.step import TrainingStep
+from tests.core.train.engine.warp.rooms import DSSIM, PRICE, small_frame
 
 pytestmark = pytest.mark.long  # compiling the kernels takes a minute
 

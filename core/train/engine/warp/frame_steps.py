@@ -10,9 +10,9 @@ from torch import Tensor
 
 from streamlod.core.render.warp.listing import list_gaussians
 from streamlod.core.scene.anchors import LATENTS
-from tests.device.warp_step.frame import begin
-from tests.device.warp_step.room import view_of
-from tests.device.warp_step.step import TrainingStep
+from streamlod.core.train.engine.warp.frame import begin
+from streamlod.core.train.engine.warp.room import view_of
+from streamlod.core.train.engine.warp.step import TrainingStep
 
 _BETA2 = 0.999  # of Adam, as in `core.train.optimise.adam`
 
@@ -63,7 +63,7 @@ class FrameNumbers:
 
 
 class FrameSteps:
-    """Steps of one frame, whose anchors, Gaussians and pictures `step` holds (`tests.device.warp_step.frame`).
+    """Steps of one frame, whose anchors, Gaussians and pictures `step` holds (`core.train.engine.warp.frame`).
 
     Args:
         known: cameras whose pictures of the state before were given; all tiles of the others are drawn.

@@ -15,12 +15,12 @@ import warp as wp
 from streamlod.core.render.warp.kernels.lanes import LANES
 from streamlod.core.render.warp.listing import list_gaussians
 from streamlod.core.render.warp.pictures import differentiate, draw
-from tests.device.warp_step.kernels.adam import adam
-from tests.device.warp_step.kernels.decode import decode, differentiate_decode
-from tests.device.warp_step.kernels.layout import TOLD
-from tests.device.warp_step.kernels.loss import blur_moments, blur_slopes, compare, differentiate_loss
-from tests.device.warp_step.kernels.rate import gather
-from tests.device.warp_step.room import StepRoom
+from streamlod.core.train.engine.warp.kernels.adam import adam
+from streamlod.core.train.engine.warp.kernels.decode import decode, differentiate_decode
+from streamlod.core.train.engine.warp.kernels.layout import TOLD
+from streamlod.core.train.engine.warp.kernels.loss import blur_moments, blur_slopes, compare, differentiate_loss
+from streamlod.core.train.engine.warp.kernels.rate import gather
+from streamlod.core.train.engine.warp.room import StepRoom
 
 
 class TrainingStep:

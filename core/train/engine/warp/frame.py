@@ -13,11 +13,11 @@ from streamlod.core.errors import ModelError
 from streamlod.core.render.warp.listing import camera_rows, list_gaussians
 from streamlod.core.scene.anchors import FEATURE_LATENTS, HIDDEN
 from streamlod.core.scene.gaussians import MAX_LOG_SCALE
+from streamlod.core.train.engine.warp.room import StepRoom, view_of
 from streamlod.core.train.field.decode import Network, Splats
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.loss.photometric import blurred_moments
-from tests.device.warp_step.room import StepRoom, view_of
 
 
 def load_anchors(room: StepRoom, base: Field, feature: Tensor, offset: Tensor, step: Tensor) -> None:

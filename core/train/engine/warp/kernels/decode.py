@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from streamlod.core.render.warp.kernels.rules import Cloud
-from tests.device.warp_step.kernels.layout import (
+from streamlod.core.train.engine.warp.kernels.layout import (
     HIDDEN_UNITS,
     LATENT_COUNT,
     NUMBERS,
@@ -24,7 +24,7 @@ from tests.device.warp_step.kernels.layout import (
     seen_from,
     vec12,
 )
-from tests.device.warp_step.kernels.rate import quantised
+from streamlod.core.train.engine.warp.kernels.rate import quantised
 
 
 @wp.func

@@ -6,8 +6,7 @@ import warp as wp
 
 from streamlod.core.render.warp.kernels.lanes import is_first_lane, lanes_sum
 from streamlod.core.scene.entropy_model import BINS, UNIT_BIN
-from streamlod.core.train.optimise.rate import SET_BITS
-from tests.device.warp_step.kernels.layout import (
+from streamlod.core.train.engine.warp.kernels.layout import (
     DEAD_ZONE,
     LATENT_COUNT,
     NUMBERS,
@@ -17,6 +16,7 @@ from tests.device.warp_step.kernels.layout import (
     SUM_POSITIONS,
     AnchorBase,
 )
+from streamlod.core.train.optimise.rate import SET_BITS
 
 TYPICAL = wp.constant(0.5)  # weight of the average anchor beside the anchor's own other values
 LIMIT = wp.constant(64.0 - 0.01)  # magnitudes count as at most this

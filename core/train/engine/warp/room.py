@@ -14,9 +14,9 @@ from streamlod.core.render.warp.listing import TileLists, cloud_room, grid_of, l
 from streamlod.core.render.warp.pictures import DrawnViews, Sight, pictures
 from streamlod.core.scene.anchors import HIDDEN, LATENTS, OFFSET_LATENTS
 from streamlod.core.scene.entropy_model import magnitude_bits
+from streamlod.core.train.engine.warp.kernels.layout import TOLD, TOTALS, AnchorBase, Decoders, vec12
+from streamlod.core.train.engine.warp.kernels.loss import Filmed, Planes
 from streamlod.core.train.loss.photometric import SIGMA, WINDOW
-from tests.device.warp_step.kernels.layout import TOLD, TOTALS, AnchorBase, Decoders, vec12
-from tests.device.warp_step.kernels.loss import Filmed, Planes
 
 _LARGEST_MAGNITUDE = 64  # of the table of bits
 

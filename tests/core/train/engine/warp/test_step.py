@@ -17,12 +17,12 @@ from torch import Tensor
 
 from streamlod.core.errors import ModelError
 from streamlod.core.render.warp.kernels import blend_adjoint
+from streamlod.core.train.engine.warp.frame import begin, load_pictures
+from streamlod.core.train.engine.warp.kernels import loss, rate
+from streamlod.core.train.engine.warp.room import view_of
+from streamlod.core.train.engine.warp.step import TrainingStep
 from streamlod.core.train.optimise.adam import update_reference
-from tests.device.warp_step.frame import begin, load_pictures
-from tests.device.warp_step.kernels import loss, rate
-from tests.device.warp_step.room import view_of
-from tests.device.warp_step.rooms import ANCHORS, RATES, TOLD, SmallFrame, relative, small_frame
-from tests.device.warp_step.step import TrainingStep
+from tests.core.train.engine.warp.rooms import ANCHORS, RATES, TOLD, SmallFrame, relative, small_frame
 
 pytestmark = pytest.mark.long  # compiling the kernels takes a minute
 

@@ -10,7 +10,7 @@ import warp as wp
 
 from streamlod.core.render.warp.kernels.lanes import is_first_lane, lanes_sum
 from streamlod.core.render.warp.kernels.rules import TILE_X, TILE_Y, TileGrid
-from tests.device.warp_step.kernels.layout import DSSIM_WEIGHT, SUM_LOSS
+from streamlod.core.train.engine.warp.kernels.layout import DSSIM_WEIGHT, SUM_LOSS
 
 REACH = wp.constant(5)  # pixels from the middle of a window to its edge
 C1, C2 = wp.constant(0.01**2), wp.constant(0.03**2)

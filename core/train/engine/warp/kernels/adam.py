@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from tests.device.warp_step.kernels.layout import (
+from streamlod.core.train.engine.warp.kernels.layout import (
     INVERSE_SECOND,
     LATENT_COUNT,
     MEAN_WEIGHT,

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from streamlod.core.train.engine.warp.kernels import adam, decode, loss, rate
 from tests.device.cubins import ARCHITECTURES, usage
-from tests.device.warp_step.kernels import adam, decode, loss, rate
 
 pytestmark = pytest.mark.long  # compiling the kernels takes a minute
 

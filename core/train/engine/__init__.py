@@ -1,0 +1,1 @@
+"""Engines that train later frames."""
