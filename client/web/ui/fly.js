@@ -39,7 +39,7 @@ export class Flight {
 
   /** @param {number} ms @param {number} share - of the turns @param {() => void} then */
   #sweep(ms, share, then) {
-    const { viewer } = this, { pose, up } = viewer, range = turns(viewer.space, pose, up), begin = performance.now();
+    const { viewer } = this, { pose, up } = viewer, range = turns(viewer.space, pose, up), { aim } = viewer, begin = performance.now();
     const end = () => {
       this.stop = null;
       viewer.removeEventListener("frame", step);
@@ -47,6 +47,7 @@ export class Flight {
       then();
     };
     const step = () => {
+      if (viewer.aim !== aim) return end(); // somebody went elsewhere
       const t = (performance.now() - begin) / ms;
       viewer.drift(orbit(pose, up, share * turnAt(Math.min(t, 1), range), 0));
       if (t >= 1) end();

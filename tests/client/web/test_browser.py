@@ -470,6 +470,21 @@ def test_a_file_plays_what_is_whole(page: Any, clip: Clip, recording: Path, tmp_
         shows(page, "s.version >= 3")
 
 
+def test_a_flight_ends_when_the_viewer_is_led_elsewhere(page: Any, clip: Clip) -> None:
+    """As by an embedding page, which would else be led back; the opening shot is such a flight."""
+    place = "streamlod.state.camera.split(',').slice(0, 3).join()"
+    with serving(create_app(clip, Behaviour(newest=3))) as url:
+        page.goto(f"{url}/?sway=0&quality=high")
+        shows(page, "s.version === 3")
+        before = page.evaluate(place)
+        page.keyboard.press("t")
+        page.wait_for_function(f"(before) => {place} !== before", arg=before, **WAIT)
+        page.evaluate("streamlod.setCamera(0)")
+        led = page.evaluate(place)
+        page.wait_for_timeout(500)
+        assert page.evaluate(place) == led != before
+
+
 ON_THE_WAY = """([target, next]) => new Promise((resolve) => {
     const look = () => {
         const { mode, version } = streamlod.state;
