@@ -49,9 +49,8 @@ class SoundTrack:
         self._held: deque[HeldPiece] = deque()
         self._bytes = 0
         self._recorded_ns = -(2**63)  # up to which it has been handed to the recording
-        self._pieces_of = lru_cache(maxsize=4)(
-            _pieces_of
-        )  # dies with the stream: another may have files of these names
+        # of this stream alone: another one may have files of the same names and sizes
+        self._pieces_of = lru_cache(maxsize=4)(_pieces_of)
         self.listeners: set[Callable[[], None]] = set()
 
     @property

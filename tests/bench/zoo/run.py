@@ -26,7 +26,7 @@ from tests.bench.zoo.tables import zoo_report
 
 _log = logging.getLogger(__name__)
 SYSTEMS = ("ours", "plain", "paper")
-_LARGEST = 0.25
+_MIN_DOWNSCALE = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +61,8 @@ class ZooOptions:
             unknown = sorted(set(wanted) - set(allowed))
             if unknown:
                 raise InputError(f"--{what}", f"{', '.join(unknown)}: unknown; choose of {', '.join(allowed)}")
-        if min(self.views, default=0) < 2 or self.seeds < 1 or self.frames < 1 or self.downscale < _LARGEST:
-            least = f"two views, one seed, one frame, and a downscale of {_LARGEST:g}"
+        if min(self.views, default=0) < 2 or self.seeds < 1 or self.frames < 1 or self.downscale < _MIN_DOWNSCALE:
+            least = f"two views, one seed, one frame, and a downscale of {_MIN_DOWNSCALE:g}"
             raise InputError("zoo", f"needs at least {least}, which is 1920x1080 for synthetic scenes")
 
 
