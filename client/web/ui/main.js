@@ -58,7 +58,10 @@ function cannotDraw() {
 
 /** @param {Viewer} viewer */
 async function start(viewer) {
-  const timeline = new Timeline((messages) => viewer.tell({ type: "send", messages }), options.get("marks"));
+  const timeline = new Timeline((messages) => {
+    if (messages.some(({ type }) => type === "seek" || type === "play")) options.delete("t"); // who went elsewhere is not led back to a link's moment
+    viewer.tell({ type: "send", messages });
+  }, options.get("marks"));
   const delay = new Delay();
   const controls = new Controls(viewer);
   const quality = new Quality(viewer, options.get("quality") ?? (viewer.thin ? "high" : null));
@@ -85,6 +88,7 @@ async function start(viewer) {
     element("stage").toggleAttribute("data-lost", viewer.isLost); // browsers draw a canvas without graphics as a broken image
     show(viewer.isLost ? lostGraphics(recording ? "Reload" : "Let the server draw") : words(status, viewer.picture !== null, retryAt - performance.now()));
     timeline.update(status);
+    if (timeline.stands) wake();
   };
   viewer.addEventListener("status", (event) => {
     const { status, now } = /** @type {CustomEvent} */ (event).detail;
@@ -106,6 +110,7 @@ async function start(viewer) {
     const { detail } = /** @type {CustomEvent} */ (event);
     if (detail.position && viewer.status) viewer.status.position = detail.position;
     element("stage").toggleAttribute("data-shown", true);
+    openMoment(); // where the scene came after the status
     rates.frame(detail, viewer.status?.bytes ?? 0);
     if (detail.position && detail.timeMs !== undefined) timeline.filmed(detail.position, detail.timeMs);
     delay.picture(detail.timeMs ?? (detail.position && timeline.filmedAt(detail.position)));
@@ -261,7 +266,7 @@ async function start(viewer) {
     viewer.addEventListener("picture", () => setTimeout(() => quality.step === 0 && flight.open(), OPENING_AFTER_MS), { once: true });
   }
   attachPhone(viewer);
-  const wake = hideWhenIdle(() => viewer.picture !== null && viewer.status?.mode !== "paused" && !document.querySelector(".sheet, .menu:not([hidden])"));
+  const wake = hideWhenIdle(() => viewer.picture !== null && !timeline.stands && !document.querySelector(".sheet, .menu:not([hidden])"));
   viewer.addEventListener("picture", wake, { once: true });
   window.addEventListener("pagehide", () => clearInterval(heartbeat));
 

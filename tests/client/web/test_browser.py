@@ -450,6 +450,30 @@ def test_real_server_restarted_in_mid_stream(page: Any, clip: Clip, recording: P
     page.complaints.forgive("WebSocket connection to")
 
 
+def test_who_seeks_early_is_not_led_back_to_the_moment_of_a_link(page: Any, clip: Clip, recording: Path) -> None:
+    """The bar is there before the first picture; what is sought on it then counts, not what the link named."""
+    held: list[Any] = []
+
+    def hold(route: Any) -> None:
+        held.append(route)
+
+    page.route("**/kernel.wasm", hold)  # nothing is decoded until it comes
+    with serving(create_app(clip, Behaviour(), recording.parent)) as url:
+        page.goto(f"{url}/?quality=high&src=files/clip.slod&t=3")
+        shows(page, "s.window && s.version === null")
+        page.evaluate("window.seen = []; streamlod.on('picture', ({ version }) => seen.push(version))")
+        page.evaluate("streamlod.seek(7); streamlod.pause()")
+        held[0].continue_()
+        for version in (7, 9, 11):
+            page.evaluate(f"streamlod.seek({version})")
+            shows(page, f"s.version === {version} && s.phase === 'paused'")
+        assert 3 not in page.evaluate("seen")
+        page.goto(f"{url}/?quality=high&src=files/clip.slod&t=3")
+        shows(page, "s.window && s.version === null")
+        held[1].continue_()
+        shows(page, "s.version === 3 && s.phase === 'paused'")
+
+
 def test_a_file_plays_what_is_whole(page: Any, clip: Clip, recording: Path, tmp_path: Path) -> None:
     """Cut in the middle it plays up to there; with a damaged packet it ends before that and says so."""
     whole = recording.read_bytes()

@@ -99,6 +99,7 @@ def test_pictures_taken_earlier_are_not_called_live(page: Any, clip: Clip) -> No
 
 def test_the_chip_wakes_when_something_is_wrong(page: Any, clip: Clip) -> None:
     """Controls hide from a hand that rests, but a picture that froze is said aloud."""
+    page.remove_locator_handler(page.locator("body.idle"))  # no hand comes
     behaviour = Behaviour(fps=5)
     with serving(create_app(clip, behaviour)) as url:
         page.goto(f"{url}/?quality=high")

@@ -10,6 +10,7 @@ import pytest
 
 pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[jetstream]'")
 
+from streamlod.server.edge.jetstream import connection as connecting
 from streamlod.server.edge.jetstream import reading
 from streamlod.server.edge.jetstream.connection import NatsConnection
 from streamlod.server.edge.jetstream.reading import Selection, read
@@ -25,6 +26,7 @@ def test_servers_that_have_not_heard_of_a_reader_yet_are_asked_again(
 ) -> None:
     """One read in a hundred meets such a server."""
     monkeypatch.setattr(reading, "_SILENT_SECONDS", 15)  # three servers and this process share a machine
+    monkeypatch.setattr(connecting, "_REQUEST_SECONDS", 15.0)
     with nats(tmp_path, 3) as servers:
         asyncio.run(asyncio.wait_for(_write(servers), 60))
         for number in range(3):
