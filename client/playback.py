@@ -70,6 +70,8 @@ class Playback:
             self._epoch = _whole(message, "epoch")
         elif name == "position":
             self.mode = str(message.get("mode", "live"))
+            if message.get("epoch") is not None:
+                self._epoch = _whole(message, "epoch")
         return [Notice(name, fields)]
 
     def receive_packet(self, packet: bytes, now: float) -> list[Event]:

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from streamlod.core.close_codes import CloseCode
 from streamlod.core.errors import SessionError
+from streamlod.server.protocol.messages import event
 from streamlod.server.protocol.packets import BinaryMessage, Position, StreamPacket
 from streamlod.server.settings import Limits
 from streamlod.server.stream.broadcast import Receiver
@@ -71,6 +72,7 @@ class Delivery:
         self.receiver = Receiver(transport.post, notify)
         self.blocked_seconds = 0.0
         self._transport, self._hub, self._limits = transport, hub, limits
+        self._told_epoch: int | None = None
         self._acked = 0
         self._acked_at: float | None = None
         self._mark: int | None = None  # bytes sent at `_mark_at`, of which some were not acknowledged then
@@ -133,6 +135,8 @@ class Delivery:
 
         With an interval it goes out in pieces, one per interval; the old picture stays meanwhile.
         """
+        if packet is not None:
+            await self.enter(packet.position.epoch)
         begin, size = time.monotonic(), len(message.data)
         await self._transport.binary(message, interval_seconds)
         now = time.monotonic()
@@ -141,6 +145,12 @@ class Delivery:
         self.receiver.sent += size
         self.counters.sent_bytes += size
         self.free_at = now + self._throttle.spend(size, now)
+
+    async def enter(self, epoch: int) -> None:
+        """Tell the viewer which epoch the packets that follow belong to, where that is another one."""
+        if epoch != self._told_epoch:
+            self._told_epoch = epoch
+            await self.send_event(event("epoch", epoch=epoch))
 
     async def send_sound(self, message: BinaryMessage) -> None:
         """Send a piece of sound, which viewers do not acknowledge."""

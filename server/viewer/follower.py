@@ -104,6 +104,7 @@ class Follower:
         newest, residual = await self._hub.catch_up(0, last)
         self._sequence = newest.sequence
         self._delivery.last = newest
+        await self._delivery.enter(newest.position.epoch)
         await self._send_parts(parts, residual)
 
     async def _send_refresh(self, keyframe: StreamPacket) -> None:

@@ -28,7 +28,6 @@ class RelayFollower(Follower):
     ) -> None:
         super().__init__(stream, delivery, levels, limits)
         self._start = start
-        self._told_epoch: int | None = None
 
     async def step(self, now: float) -> bool:
         """Send the next packet; returns whether there was one."""
@@ -39,9 +38,6 @@ class RelayFollower(Follower):
         packet = await self._next()
         if packet is None:
             return False
-        if packet.position.epoch != self._told_epoch:
-            self._told_epoch = packet.position.epoch
-            await self._delivery.send_event(event("epoch", epoch=packet.position.epoch))
         self._sequence = packet.sequence
         await self._delivery.send(packet.message(self._levels.levels), packet)
         return True

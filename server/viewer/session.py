@@ -190,7 +190,7 @@ class ViewerSession:
                 self.wake.clear()
                 while not events.empty():
                     message = events.get_nowait()
-                    if not (self._relays and message["event"] == "epoch"):  # sent between the right two packets
+                    if message["event"] != "epoch":  # told right before the first packet of its epoch
                         await self._delivery.send_event(message)
                 if stream.deleted:
                     raise SessionError(CloseCode.DONE, "the stream was deleted")
@@ -261,7 +261,7 @@ class ViewerSession:
         if self._playhead.mode == "live":
             return await self._follower.step(now)
         going_on = await self._replay.step(now)
-        if not self._replay.is_over:
+        if not self._replay.is_over or self._playhead.changed:  # the viewer may have asked for something meanwhile
             return going_on
         self._playhead.mode = "live"
         self._follower.resume()

@@ -33,11 +33,13 @@ export class Connection extends Link {
   }
 
   open() {
-    const { mode, position } = this.session.status;
+    const { wanted, status: { mode, position } } = this.session;
     this.asked = true;
     this.frozen = false;
-    this.aim = null;
-    this.stopAt = mode === "paused" && position ? position.version : null;
+    if (!wanted) {
+      this.aim = null;
+      this.stopAt = mode === "paused" && position ? position.version : null;
+    }
     super.open();
   }
 
@@ -138,6 +140,10 @@ export class Connection extends Link {
         this.stopAt = isPause ? this.aim : null; // where the seek leads
         continue;
       }
+      if (!this.session.open && (isPlay || isPause || message.type === "seek")) {
+        this.#want(isPlay || isPause ? this.session.wanted ?? position : message.to, Boolean(stop) || isPause);
+        continue;
+      }
       if (isPlay || message.type === "seek") {
         this.frozen = false;
         this.asked = true;
@@ -148,6 +154,13 @@ export class Connection extends Link {
       if (isPause) this.frozen = true;
       this.transmit([message]);
     }
+  }
+
+  /** Begin there once there is a connection. @param {"live" | import("./session.js").Position | null} to @param {boolean} stop */
+  #want(to, stop) {
+    this.session.wanted = to;
+    this.aim = to === "live" ? null : to?.version ?? null;
+    this.stopAt = stop ? this.aim : null;
   }
 
   close() {

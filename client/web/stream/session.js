@@ -87,6 +87,8 @@ export class Session {
     this.wishes = {};
     /** Where to begin; later on, where the viewer was. @type {"live" | Position} */
     this.start = "live";
+    /** Where to begin instead, asked for while there was no connection. @type {"live" | Position | null} */
+    this.wanted = null;
   }
 
   /** The connection stands. @type {(now: number) => object[]} */
@@ -97,6 +99,8 @@ export class Session {
     this.isQuiet = this.isFresh = false;
     const { mode, position } = this.status;
     if (position) this.start = mode === "live" ? mode : position;
+    this.start = this.wanted ?? this.start;
+    this.wanted = null;
     const wishes = Object.fromEntries(Object.entries(this.wishes).filter(([, value]) => value != null));
     return [{ type: "hello", versions: [VERSION], client: CLIENT, start: this.start, ...wishes }];
   }
@@ -149,6 +153,7 @@ export class Session {
         break;
       case "position":
         status.mode = message.mode;
+        if (message.epoch != null) this.epoch = message.epoch;
         this.lastPacket = now; // nothing was due while paused
         this.isQuiet = false;
         this.settle();

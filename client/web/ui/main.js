@@ -58,7 +58,7 @@ function cannotDraw() {
 
 /** @param {Viewer} viewer */
 async function start(viewer) {
-  const timeline = new Timeline((messages) => {
+  const timeline = new Timeline((/** @type {any[]} */ messages) => {
     if (messages.some(({ type }) => type === "seek" || type === "play")) options.delete("t"); // who went elsewhere is not led back to a link's moment
     viewer.tell({ type: "send", messages });
   }, options.get("marks"));

@@ -474,6 +474,23 @@ def test_who_seeks_early_is_not_led_back_to_the_moment_of_a_link(page: Any, clip
         shows(page, "s.version === 3 && s.phase === 'paused'")
 
 
+def test_what_is_asked_for_without_a_connection_counts_once_there_is_one(page: Any, clip: Clip) -> None:
+    """A place sought, and a pause, while the server is away."""
+    behaviour = Behaviour(newest=30)
+    with contextlib.ExitStack() as stack, held_ports(1) as (port,):
+        with serving(create_app(clip, behaviour), port) as url:
+            page.goto(f"{url}/?quality=high")
+            shows(page, "s.version === 30 && s.phase === 'live'")
+        shows(page, "s.phase === 'reconnecting'")
+        page.evaluate("streamlod.seek(5); streamlod.pause()")
+        stack.enter_context(serving(create_app(clip, behaviour), port))
+        shows(page, "s.version === 5 && s.phase === 'paused'")
+        page.evaluate("streamlod.play()")
+        shows(page, "s.version > 20")
+        page.goto("about:blank")
+    page.complaints.forgive("WebSocket connection to")
+
+
 def test_a_file_plays_what_is_whole(page: Any, clip: Clip, recording: Path, tmp_path: Path) -> None:
     """Cut in the middle it plays up to there; with a damaged packet it ends before that and says so."""
     whole = recording.read_bytes()

@@ -42,13 +42,18 @@ def test_a_relay_that_comes_back_goes_on_with_the_packet_that_it_has(clip: Clip)
             assert packets_of(viewer, 70) == clip.packets[30:]
 
 
-def test_each_epoch_is_announced_before_its_first_packet(tmp_path_factory: pytest.TempPathFactory) -> None:
+@pytest.mark.parametrize("hello", [{"relay": True}, {"start": {"epoch": 1, "version": 0}}], ids=["relay", "replay"])
+def test_each_epoch_is_announced_before_its_first_packet(
+    hello: dict[str, object], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Also to a viewer that watches the past while new epochs begin."""
     clip = make_clip(tmp_path_factory.mktemp("short") / "scene.slod", 15)
     with (
         running(Settings(), StreamSpec(play=clip.path)) as node,
         viewing(node, max_queue=None) as viewer,
     ):
-        viewer.hello(relay=True)
+        node.wait(lambda stream: stream["epoch"] == 2 if "start" in hello else stream["version"] is not None)
+        viewer.hello(**hello)
         seen: list[bytes | int] = []
         while len(seen) < 40:
             message = viewer.step()
