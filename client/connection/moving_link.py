@@ -73,6 +73,8 @@ class MovingLink:
             seen = self.playback.position if joined.incarnation == self._incarnation else None
             left, self._link = self._link, joined.link
             self._closing.append(asyncio.create_task(left.close()))  # which may take half a second
+            if (there := self.playback.position) is not None and seen is not None and left_out(seen, there):
+                yield Notice("skipped", {"from": seen[1], "to": there[1], "reason": "moved"})
             async for event in self._told(joined.events):
                 here = self.playback.position
                 if isinstance(event, NewScene) and seen is not None and here is not None and here <= seen:
@@ -116,6 +118,14 @@ class MovingLink:
         if joined.incarnation != self._incarnation or here is None or there is None:
             return True
         return here >= there
+
+
+def left_out(seen: tuple[int, int], there: tuple[int, int]) -> bool:
+    """Whether versions of an epoch are missing between what was `seen` and where the next connection is `there`.
+
+    They are where the old connection ended before it came that far.
+    """
+    return seen[0] == there[0] and there[1] > seen[1] + 1
 
 
 async def _chain(before: Iterable[Event], events: AsyncGenerator[Event, None]) -> AsyncGenerator[Event, None]:

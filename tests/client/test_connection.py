@@ -18,7 +18,7 @@ import streamlod.client.connection.watch
 import streamlod.client.playback
 from streamlod.client.connection.link import SUBPROTOCOL, WatchOptions
 from streamlod.client.connection.watch import back_off, watch
-from streamlod.client.events import Disconnected, Event, NewScene, Welcome
+from streamlod.client.events import Disconnected, Event, NewScene, Notice, Welcome
 from streamlod.codec.encoder import encode_residual
 from streamlod.core.errors import InputError, SessionError
 from streamlod.core.scene.residual import difference
@@ -215,8 +215,12 @@ def test_an_edge_that_is_behind_shows_nothing_again(incarnation: str, shown: lis
     assert [event.scene.version for event in events if isinstance(event, NewScene)] == shown
 
 
-def test_an_edge_that_is_ahead_is_taken_where_it_began() -> None:
-    """The server that stops still has what comes before; it is not left until all of that has been shown."""
+@pytest.mark.parametrize(("until", "left_out"), [(6, []), (4, [{"from": 3, "to": 5, "reason": "moved"}])])
+def test_an_edge_that_is_ahead_is_taken_where_it_began(until: int, left_out: list[dict[str, object]]) -> None:
+    """The server that stops still has what comes before; it is not left until all of that has been shown.
+
+    Where it ends before that, it is said what is left out.
+    """
     clip, joined = states(8), asyncio.Event()
     data = packets(clip)
     catch_up = encode_residual(clip[0], difference(clip[0], clip[5]), time_ns=5 * FRAME_NS, profile=0)
@@ -237,14 +241,18 @@ def test_an_edge_that_is_ahead_is_taken_where_it_began() -> None:
             await socket.send(packet)
         await tell(socket, type="event", event="draining")
         await joined.wait()
-        for packet in data[2:6]:
+        for packet in data[2:until]:
             for _ in range(10):  # there and back, so that the viewer knows of the other one meanwhile
                 await (await socket.ping())
             await socket.send(packet)
+        if left_out:
+            await socket.close(1001)
         await socket.wait_closed()
 
     events = moved(ahead, stop)
-    assert [event.scene.version for event in events if isinstance(event, NewScene)] == list(range(8))
+    shown = [event.scene.version for event in events if isinstance(event, NewScene)]
+    assert shown == [*range(until), *range(max(until, 5), 8)]
+    assert [event.fields for event in events if isinstance(event, Notice) and event.name == "skipped"] == left_out
 
 
 def test_a_server_that_breaks_the_protocol_gets_one_more_chance() -> None:
