@@ -16,7 +16,8 @@ import av.video.stream
 from streamlod.core.camera.grid import MAX_RATE, MIN_RATE, rate_of
 from streamlod.core.data.files import blaming
 from streamlod.core.data.pictures import MAX_SIDE
-from streamlod.core.data.video.times import PictureTimes, pictures_of, timed_pictures
+from streamlod.core.data.video.decoding import timed_pictures
+from streamlod.core.data.video.times import PictureTimes, pictures_of
 from streamlod.core.data.video.upright import upright_size
 from streamlod.core.errors import InputError
 

@@ -6,9 +6,7 @@ before it, which refer to pictures that the file does not have.
 
 from __future__ import annotations
 
-import logging
 from collections import deque
-from collections.abc import Iterator
 from fractions import Fraction
 from typing import Any
 
@@ -17,9 +15,7 @@ import av.container
 import av.stream
 import av.video.stream
 
-_log = logging.getLogger(__name__)
 _SECOND_NS = 1_000_000_000
-_LATEST_BEGIN_NS = 5 * _SECOND_NS
 _IN_ORDER = "avi"  # has a time for each sample in their order, and none for the pictures
 _UNTIMED = {"h264", "hevc", "vvc", "m4v", "mpegvideo", "mjpeg", "mpjpeg", "obu"}  # FFmpeg supposes a rate for these
 OWN_CLOCK = {"mpegts", "mpeg"}  # formats whose time does not begin at 0
@@ -44,34 +40,38 @@ class PictureTimes:
     Args:
         container, stream: the file and its video.
         rate: pictures a second of a file that has no times at all.
+
+    Attributes:
+        counted: whether pictures have no times of their own.
     """
 
     def __init__(
         self, container: av.container.InputContainer, stream: av.video.stream.VideoStream, rate: Fraction
     ) -> None:
         self._format = container.format.name
-        self._counted = self._format in {_IN_ORDER, *_UNTIMED}
+        self.counted = self._format in {_IN_ORDER, *_UNTIMED}
         self._base: Fraction = stream.time_base or Fraction(1, _SECOND_NS)
         self._rate, self._count = rate, 0
         self._waiting: deque[int] = deque()
-        self._key_ns: int | None = None
+        self._first_ns: int | None = None  # of the first keyframe
+        self._key_ns: int | None = None  # of the keyframe with which the decoder began
         self._origin_ns: int | None = None
         if self._format in OWN_CLOCK and container.start_time is not None:
             self._origin_ns = _nanoseconds(container.start_time, Fraction(1, av.time_base))
 
     def sample(self, packet: av.Packet[Any]) -> int | None:
-        """The time of the picture in a sample; None where it cannot be shown.
+        """The time of the picture in a sample; None where an undamaged file would not show it.
 
         Samples before the first keyframe must not be given to a decoder, as some decoders make pictures of them.
         """
         if self._origin_ns is None:
             delayed = packet.dts == 0 and packet.pts is not None and packet.pts > 0
             self._origin_ns = _nanoseconds(packet.pts or 0, self._base) if delayed else 0
-            self._counted = self._counted or packet.pts is None
+            self.counted = self.counted or packet.pts is None
         number, self._count = self._count, self._count + 1
-        if self._key_ns is None and not packet.is_keyframe:
+        if self._first_ns is None and not packet.is_keyframe:
             return None
-        if not self._counted:
+        if not self.counted:
             time_ns = None if packet.pts is None else _nanoseconds(packet.pts, self._base) - self._origin_ns
         elif self._format == _IN_ORDER and packet.dts is not None:
             time_ns = _nanoseconds(packet.dts, self._base)
@@ -79,13 +79,15 @@ class PictureTimes:
             time_ns = round(number * _SECOND_NS / self._rate)
         if time_ns is None:
             return None
-        if self._counted:
+        self._first_ns = time_ns if self._first_ns is None else self._first_ns
+        if self._key_ns is None and packet.is_keyframe:
+            self._key_ns = time_ns
+        if self.counted and self.decodable:
             self._waiting.append(time_ns)
-        self._key_ns = time_ns if self._key_ns is None else self._key_ns
-        return None if packet.is_discard or time_ns < self._key_ns else time_ns
+        return None if packet.is_discard or time_ns < self._first_ns else time_ns
 
     def lose(self) -> None:
-        """A sample does not decode: nothing can be shown until the next keyframe."""
+        """The decoder begins anew: nothing can be shown until the next keyframe."""
         self._key_ns = None
         self._waiting.clear()
 
@@ -96,60 +98,12 @@ class PictureTimes:
 
     def picture(self, frame: av.VideoFrame) -> int | None:
         """The time of a decoded picture; None where it must not be shown."""
-        if self._counted:
+        if self.counted:
             return self._waiting.popleft() if self._waiting else None
         if frame.pts is None or self._key_ns is None or self._origin_ns is None:
             return None
         time_ns = _nanoseconds(frame.pts, frame.time_base or self._base) - self._origin_ns
         return None if time_ns < self._key_ns else time_ns
-
-
-def timed_pictures(
-    container: av.container.InputContainer, stream: av.video.stream.VideoStream, rate: Fraction
-) -> Iterator[tuple[int, av.VideoFrame]]:
-    """The pictures that can be shown, each with its time in nanoseconds from the file's beginning.
-
-    After a sample that does not decode, pictures go on with the next keyframe; those between would show its damage.
-
-    Args:
-        container, stream, rate: as in `PictureTimes`.
-
-    Raises:
-        av.FFmpegError: the file cannot be read on.
-    """
-    times = PictureTimes(container, stream, rate)
-    shown_ns: int | None = None
-    for packet in container.demux(stream):
-        if packet.size > 0:
-            times.sample(packet)
-            if not times.decodable:
-                continue
-        try:
-            frames = packet.decode()
-        except av.FFmpegError:
-            if shown_ns is not None:
-                fault = "%s: damaged after %.3f s; nothing of it is used until its next keyframe"
-                _log.warning(fault, container.name, shown_ns / _SECOND_NS)
-            times.lose()
-            stream.codec_context.flush_buffers()
-            continue
-        for frame in frames:
-            assert isinstance(frame, av.VideoFrame)
-            time_ns = times.picture(frame)
-            if time_ns is not None:
-                shown_ns = time_ns
-                yield time_ns, frame
-
-
-def played_pictures(
-    container: av.container.InputContainer, stream: av.video.stream.VideoStream, rate: Fraction
-) -> Iterator[tuple[int, av.VideoFrame]]:
-    """Pictures of a played file, see `timed_pictures`: nobody waits for a first one with a time of another clock."""
-    begin_ns: int | None = None
-    for time_ns, frame in timed_pictures(container, stream, rate):
-        if begin_ns is None:
-            begin_ns = time_ns if abs(time_ns) > _LATEST_BEGIN_NS else 0
-        yield time_ns - begin_ns, frame
 
 
 def _nanoseconds(ticks: int, base: Fraction) -> int:

@@ -13,8 +13,9 @@ import av.video.stream
 
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera.grid import period_of
+from streamlod.core.data.video.decoding import played_pictures
 from streamlod.core.data.video.sound import decoded_sound, sound_of
-from streamlod.core.data.video.times import pictures_of, played_pictures
+from streamlod.core.data.video.times import pictures_of
 from streamlod.core.data.video.upright import upright, upright_size
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.address import Address

@@ -13,7 +13,8 @@ import cv2
 
 from streamlod.core.camera.grid import period_of
 from streamlod.core.data.names import files_in, numeric_key
-from streamlod.core.data.video.times import pictures_of, played_pictures
+from streamlod.core.data.video.decoding import played_pictures
+from streamlod.core.data.video.times import pictures_of
 from streamlod.core.data.video.upright import upright
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.address import Address, parse_address, webcam_options

@@ -113,7 +113,7 @@ def test_a_damaged_sample_costs_its_camera_the_pictures_up_to_the_next_keyframe(
     (tmp_path / "cam01.mp4").unlink()
     copy_video(tmp_path / "whole.mp4", tmp_path / "cam01.mkv", damaged=8)
     assert _shown(tmp_path) == [[t, None if 8 <= t < 12 else t, t] for t in range(16)]
-    assert "cam01.mkv: damaged after 0.233 s" in caplog.text
+    assert "cam01.mkv: is damaged at 0.267 s; up to the next keyframe, 4 of its pictures are left out" in caplog.text
 
 
 def test_2997_beside_30_does_not_drift() -> None:

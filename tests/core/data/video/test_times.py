@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from streamlod.core.data.video import probe_video, read_video
-from streamlod.core.data.video.times import timed_pictures
+from streamlod.core.data.video.decoding import timed_pictures
 from streamlod.core.data.video.upright import upright
 from streamlod.core.errors import InputError
 from tests.core.data.writers import copy_video, picture, read_back, write_picture, write_video
