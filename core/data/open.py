@@ -43,7 +43,7 @@ def open_dataset(
             or `downscale` below 1.
     """
     folder = Path(path)
-    if folder.name == transforms.FILE and folder.is_file():
+    if folder == transforms.file_in(folder.parent):
         folder = folder.parent
     if not folder.is_dir():
         raise InputError(folder, "is not a folder" if folder.exists() else "does not exist")
@@ -87,4 +87,4 @@ def _layout_of(folder: Path) -> str | None:
         return "colmap"
     if (folder / "poses_bounds.npy").is_file():
         return "n3dv"  # whose reader then says which videos are missing
-    return None
+    return None if transforms.file_in(folder) is None else "transforms"  # videos of N3DV have them beside, converted

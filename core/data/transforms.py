@@ -1,5 +1,7 @@
 """transforms.json, as nerfstudio and instant-ngp write it: one instant of pictures, or a video for each camera.
 
+Data of NeRF's kind have transforms_train.json instead; what is held out beside it (transforms_test.json) is not used.
+
 A frame's ``transform_matrix`` is camera_to_world with OpenGL's axes (x right, y up, z backwards). Intrinsics and
 distortion stand at the top or in the frame: ``fl_x fl_y cx cy w h``, or ``camera_angle_x``; ``k1 k2 p1 p2 k3``.
 A video's ``time_offset`` in seconds, which `streamlod calibrate` writes, is added to the times of its pictures.
@@ -29,6 +31,7 @@ from streamlod.core.data.video import SUFFIXES as VIDEO_SUFFIXES
 from streamlod.core.errors import InputError
 
 FILE = "transforms.json"
+_OF_NERF = "transforms_train.json"
 MAX_FRAMES = 4096
 _MAX_OFFSET_S = 86_400
 _log = logging.getLogger(__name__)
@@ -38,14 +41,23 @@ _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
 _UNSUPPORTED = ("k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
 
 
+def file_in(folder: Path) -> Path | None:
+    """The file of this layout in `folder`; None without."""
+    return next((folder / name for name in (FILE, _OF_NERF) if (folder / name).is_file()), None)
+
+
 def read_transforms(path: Path) -> RawRecording:
     """The recording in the folder `path`.
 
     Raises:
         InputError: missing or damaged files, several instants in one file, or a lens that is not supported.
     """
-    file = path / FILE
+    file = file_in(path) or path / FILE
     value = read_json(file)
+    if file.name == _OF_NERF:
+        left_out = [other for split in ("test", "val") if (other := path / f"transforms_{split}.json").is_file()]
+        if left_out:
+            _log.info("%s: its cameras are used, not those of %s", file, listed(other.name for other in left_out))
     frames = value.get("frames")
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
         raise InputError(file, "'frames' must be a list of objects")

@@ -29,13 +29,13 @@ _LIVE_STEP = 10  # instants between those used
 
 
 def check(source: Path, layout: str | None, settings: Settings, say: Say) -> tuple[str, bool]:
-    """Check a recording, or the live rig of a .json file that is no transforms.json.
+    """Check a recording, or the live rig of a .json file that does not begin with `transforms`.
 
     Args:
         settings: of the server to which phones of a live rig send their pictures.
         say: told the addresses of their pages.
     """
-    live = source.suffix.lower() == ".json" and source.name != "transforms.json"
+    live = source.suffix.lower() == ".json" and not source.name.startswith("transforms")
     found = _live(source, settings, say) if live else _recorded(source, layout)
     return found.text(), found.at_fault
 

@@ -15,7 +15,15 @@ import pytest
 from streamlod.core.data import open_dataset
 from streamlod.core.data.transforms import opengl_pose
 from streamlod.core.errors import InputError
-from tests.core.data.writers import picture, read_back, rig, write_picture, write_transforms, write_video
+from tests.core.data.writers import (
+    picture,
+    read_back,
+    rig,
+    write_picture,
+    write_transforms,
+    write_video,
+    write_video_clip,
+)
 
 NAMES = ("cam00", "cam02", "cam10")
 FILES = tuple(f"images/{name}.png" for name in NAMES)
@@ -25,6 +33,38 @@ def _write(folder: Path, **extra: object) -> None:
     write_transforms(folder, FILES[::-1], rig(NAMES)[::-1], **extra)
     for index, file in enumerate(FILES):
         write_picture(folder / file, picture(index, 0))
+
+
+def test_data_of_nerf_train_their_training_cameras(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """As Blender's exporters write it: names without suffix, the angle of view at the top, other cameras beside."""
+    for split, cameras in (("train", rig(NAMES)), ("test", rig(("cam00",))), ("val", rig(("cam00",)))):
+        files = [f"./{split}/{camera.name}" for camera in cameras]
+        write_transforms(tmp_path, files, cameras)
+        value = json.loads((tmp_path / "transforms.json").read_text())
+        frames = [{key: frame[key] for key in ("file_path", "transform_matrix")} for frame in value["frames"]]
+        angle = 2 * math.atan(48 / 80)
+        (tmp_path / f"transforms_{split}.json").write_text(json.dumps({"camera_angle_x": angle, "frames": frames}))
+        (tmp_path / "transforms.json").unlink()
+        for index, camera in enumerate(cameras):
+            write_picture(tmp_path / split / f"{camera.name}.png", picture(index, 0))
+    with caplog.at_level(logging.INFO):
+        opened = open_dataset(tmp_path)
+    assert opened.names == NAMES
+    assert opened.cameras[1].intrinsics[0, 0] == pytest.approx(80)
+    np.testing.assert_allclose(opened.cameras[1].world_to_camera, rig(NAMES)[1].world_to_camera, atol=1e-12)
+    assert [read_back(image) for image in next(iter(opened.frames())).images] == [(0, 0), (1, 0), (2, 0)]
+    assert "its cameras are used, not those of transforms_test.json, transforms_val.json" in caplog.text
+    assert open_dataset(tmp_path / "transforms_train.json").names == NAMES
+    _write(tmp_path)
+    (tmp_path / "train" / "cam00.png").unlink()
+    assert open_dataset(tmp_path).skipped == ()  # transforms.json comes first
+
+
+def test_videos_come_before_what_was_converted_from_them(tmp_path: Path) -> None:
+    write_video_clip(tmp_path, NAMES, frames=2)
+    write_transforms(tmp_path, ["a.png"], rig(NAMES[:1]))
+    (tmp_path / "transforms.json").rename(tmp_path / "transforms_train.json")
+    assert open_dataset(tmp_path).layout == "n3dv"
 
 
 def test_an_upright_camera_among_lying_ones_shows_a_point_where_it_is(tmp_path: Path) -> None:
