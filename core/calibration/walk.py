@@ -17,10 +17,10 @@ import numpy as np
 from streamlod.core.arrays import Float64, UInt8
 from streamlod.core.data import caliscope, open_dataset
 from streamlod.core.data.dataset import Source
-from streamlod.core.data.files import blaming, read_text
+from streamlod.core.data.files import read_text
 from streamlod.core.data.names import files_in
-from streamlod.core.data.video import SUFFIXES, probe_video, read_video
-from streamlod.core.data.video.upright import upright
+from streamlod.core.data.sources import shown
+from streamlod.core.data.video import SUFFIXES, VideoInfo, probe_video, read_video
 from streamlod.core.errors import InputError
 from streamlod.core.options import MAX_CAMERAS
 
@@ -75,15 +75,13 @@ def _videos(path: Path, files: list[Path]) -> Iterator[WalkFootage]:
                 count = 0 if known is None else len(known)
                 raise InputError(table, f"has {count} times of {file.name}, which holds {len(times)} pictures")
             times = known
-        yield WalkFootage(file.stem, (info.width, info.height), times, _decoded(file), file)
+        yield WalkFootage(file.stem, (info.width, info.height), times, _decoded(file, info), file)
 
 
-def _decoded(file: Path) -> Callable[[], Iterator[UInt8 | None]]:
+def _decoded(file: Path, info: VideoInfo) -> Callable[[], Iterator[UInt8 | None]]:
     def pictures() -> Iterator[UInt8 | None]:
-        with closing(read_video(file)) as frames:
-            for _, frame in frames:
-                with blaming(file):
-                    yield upright(frame)
+        with closing(read_video(file)) as timed:
+            yield from shown(file, timed, info.times_ns)
 
     return pictures
 

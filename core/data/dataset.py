@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
+from itertools import repeat
 from pathlib import Path
 from typing import Protocol
 
@@ -20,6 +22,7 @@ from streamlod.core.data.names import camera_names, listed
 from streamlod.core.errors import InputError
 from streamlod.core.frames import FrameSet, PointCloud
 
+_log = logging.getLogger(__name__)
 MAX_DOWNSCALE = 64
 FPS_OF_PICTURES = 30.0  # folders of pictures do not say their rate
 
@@ -203,12 +206,13 @@ class Dataset:
         height, width = self.cameras[0].height, self.cameras[0].width
         with ExitStack() as stack:
             streams = [source.pictures(row, start, stop) for row in self.rows]
+            odd: set[str] = set()
             for stream in streams:
                 stack.enter_context(closing(stream))
             pool = stack.enter_context(ThreadPoolExecutor(min(count, os.cpu_count() or 1), "decode"))
             for index in range(start, stop):
                 images = np.zeros((count, height, width, 3), np.uint8)
-                present = pool.map(_undistort, streams, self.undistortions, images, [index] * count)
+                present = pool.map(_undistort, streams, self.undistortions, images, repeat(index), repeat(odd))
                 yield FrameSet(index, source.time_ns(index), images, np.array(list(present), np.bool_))
 
 
@@ -235,16 +239,23 @@ def dataset(recording: RawRecording, downscale: float = 1, cameras: Sequence[str
     return chosen.select(chosen.names)
 
 
-def _undistort(stream: Iterator[UInt8 | None], plan: Undistortion, into: UInt8, index: int) -> bool:
+def _undistort(stream: Iterator[UInt8 | None], plan: Undistortion, into: UInt8, index: int, odd: set[str]) -> bool:
+    """Put the next picture into `into`; False where the camera has none, or one of another size.
+
+    The first one of another size is logged, and the camera's name added to `odd`.
+    """
     picture = next(stream)
     if picture is None:
         return False
-    width, height = plan.raw_size
-    if picture.shape != (height, width, 3):
-        found = f"{picture.shape[1]}x{picture.shape[0]}"
-        raise InputError(f"camera {plan.camera.name}", f"has {found} pixels at instant {index}, not {width}x{height}")
-    into[:] = plan(picture)
-    return True
+    (width, height), name = plan.raw_size, plan.camera.name
+    if picture.shape == (height, width, 3):
+        into[:] = plan(picture)
+        return True
+    if name not in odd:
+        odd.add(name)
+        fault = "camera %s: has %dx%d pixels at instant %d, not %dx%d; its pictures of another size are left out"
+        _log.warning(fault, name, picture.shape[1], picture.shape[0], index, width, height)
+    return False
 
 
 def _row_of(name: str, names: Sequence[str], path: Path) -> int:

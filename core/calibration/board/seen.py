@@ -63,7 +63,7 @@ def track_of(footage: WalkFootage, board: Board, on_picture: Callable[[], object
     detect, step = Detector(board), picture_step(footage)
     rows, corners, doubled, foreign = [], [], 0, Counter[int]()
     for row, picture in enumerate(footage.pictures()):
-        if row % step or picture is None:
+        if row % step or picture is None or picture.shape[1::-1] != footage.size:
             continue
         sighting = detect(picture)
         rows.append(row)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -252,3 +253,46 @@ def _frames_or_none(folder: Path) -> int | None:
         return len(list(open_dataset(folder).frames()))
     except InputError:
         return None
+
+
+def _assert_missing(folder: Path, caplog: pytest.LogCaptureFixture, instants: set[int]) -> None:
+    for frame in open_dataset(folder).frames():
+        assert frame.present.tolist() == [True, frame.index not in instants, True]
+        seen = [read_back(image) for image, there in zip(frame.images, frame.present, strict=True) if there]
+        assert seen == [(camera, frame.index) for camera in range(3) if frame.present[camera]]
+    [told] = [record.getMessage() for record in caplog.records]
+    assert told == (
+        f"camera cam01: has 48x32 pixels at instant {min(instants)}, not 96x64; "
+        "its pictures of another size are left out"
+    )
+
+
+def test_a_video_that_turns_to_another_size_is_missing_meanwhile(clip: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """As browsers record, whose pictures shrink with the line."""
+    (clip / "cam01.mp4").unlink()
+    sizes = [(96, 64), (96, 64), (48, 32), (48, 32), (48, 32), (96, 64)]
+    with av.open(str(clip / "cam01.webm"), "w") as container:
+        stream = container.add_stream("libvpx", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv420p"
+        for number, size in enumerate(sizes):
+            encoder = av.VideoCodecContext.create("libvpx", "w")
+            encoder.width, encoder.height, encoder.pix_fmt = *size, "yuv420p"
+            encoder.time_base, encoder.framerate = Fraction(1, 30), Fraction(30)
+            encoder.options = {"crf": "4", "b": "4M", "deadline": "realtime"}
+            frame = av.VideoFrame.from_ndarray(picture(1, number, size), format="rgb24")
+            for packet in [*encoder.encode(frame), *encoder.encode(None)]:
+                packet.pts = packet.dts = number
+                packet.time_base, packet.stream = Fraction(1, 30), stream
+                container.mux(packet)
+    _assert_missing(clip, caplog, {2, 3, 4})
+
+
+def test_a_picture_file_of_another_size_is_missing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    write_colmap_binary(
+        tmp_path / "sparse" / "0", [(f"{c.name}.png", c, "PINHOLE") for c in rig(NAMES)], np.zeros((0, 6))
+    )
+    for instant in range(4):
+        for index, name in enumerate(NAMES):
+            size = (48, 32) if (index, instant) == (1, 2) else (96, 64)
+            write_picture(tmp_path / "frames" / f"{instant:04d}" / f"{name}.png", picture(index, instant, size))
+    _assert_missing(tmp_path, caplog, {2})

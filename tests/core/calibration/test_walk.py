@@ -1,0 +1,20 @@
+"""Pictures of a walk, each with its own time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from streamlod.core.calibration.walk import open_walk
+from tests.core.data.writers import copy_video, picture, read_back, write_video
+
+
+def test_what_is_damaged_shifts_no_later_picture(tmp_path: Path) -> None:
+    groups = {"g": "6", "x264-params": "scenecut=0"}
+    write_video(tmp_path / "cam_0.mp4", [picture(0, t) for t in range(16)])
+    write_video(tmp_path / "whole.mp4", [picture(1, t) for t in range(16)], options=groups)
+    copy_video(tmp_path / "whole.mp4", tmp_path / "cam_1.mkv", damaged=8)
+    (tmp_path / "whole.mp4").unlink()
+    for footage, lost in zip(open_walk(tmp_path), ((), (8, 9, 10, 11)), strict=True):
+        seen = [None if image is None else read_back(image)[1] for image in footage.pictures()]
+        assert seen == [None if t in lost else t for t in range(16)]
+        assert len(footage.times) == 16
