@@ -40,6 +40,26 @@ TIMED_SEEK = """async (version) => {
   await shown;
   return performance.now() - begin;
 }"""
+# How long the page stands still at most, in milliseconds, while the hand drags for some seconds.
+STANDSTILL = """async (seconds) => {
+  const canvas = document.getElementById("canvas"), { port1, port2 } = new MessageChannel();
+  const end = performance.now() + 1000 * seconds, at = (type, clientX) =>
+    canvas.dispatchEvent(new PointerEvent(type, { pointerId: 1, clientX, clientY: 200, bubbles: true }));
+  canvas.setPointerCapture = () => {};
+  at("pointerdown", 200);
+  const drag = () => {
+    if (performance.now() > end) return at("pointerup", 200);
+    at("pointermove", 200 + 100 * Math.sin(performance.now() / 200));
+    requestAnimationFrame(drag);
+  };
+  drag();
+  let longest = 0;
+  for (let last = performance.now(); last < end; last = performance.now()) {
+    await new Promise((resolve) => { port1.onmessage = resolve; port2.postMessage(0); });
+    longest = Math.max(longest, performance.now() - last);
+  }
+  return longest;
+}"""
 FRAMES, ROUNDS, JOINS, SEEKS = 12, 4, 5, 30
 MEASURE = """async ([address, rounds]) => {
   const { walkRecords } = await import("/decode/container.js");
@@ -198,13 +218,14 @@ def drag_answers(browser: Any, anchors: int, slower: int) -> None:
             begin = time.monotonic()
             page.wait_for_function("document.getElementById('canvas').width === 640", timeout=60_000)
             rest = time.monotonic() - begin
+            still = page.evaluate(STANDSTILL, 5)
             page.close()
             answered = median(waits[-30:])
             free = free or answered
             print(
                 f"paused, {splats} splats, CPU {rate} times slower, auto: a drag is answered in {answered:.0f} ms "
                 f"(first {waits[0]:.0f}), {answered / free:.1f} times as long as at full speed; "
-                f"all is back after {rest:.1f} s",
+                f"all is back after {rest:.1f} s; the page stands still for {still:.0f} ms at most",
                 flush=True,
             )
 

@@ -135,6 +135,8 @@ export class Renderer extends Surface {
     this.order = new Uint32Array(0);
     this.uploaded = 1; // share of it that the graphics card has
     this.count = 0;
+    /** @type {WebGLSync[]} one for each picture that is not drawn yet, as far as is known */
+    this.fences = [];
     for (const [i, texture] of [this.before, this.places, this.texture].entries()) {
       gl.activeTexture(gl.TEXTURE0 + i);
       gl.bindTexture(gl.TEXTURE_2D, texture);
@@ -154,6 +156,13 @@ export class Renderer extends Surface {
   /** Whether the browser took the graphics card away. */
   get isLost() {
     return this.gl.isContextLost();
+  }
+
+  /** @returns {number} of pictures that are still being drawn */
+  get waiting() {
+    const { gl, fences } = this;
+    while (fences.length && gl.getSyncParameter(fences[0], gl.SYNC_STATUS) !== gl.UNSIGNALED) gl.deleteSync(/** @type {WebGLSync} */ (fences.shift()));
+    return fences.length;
   }
 
   /** @type {Surface["update"]} */
@@ -238,6 +247,8 @@ export class Renderer extends Surface {
       gl.uniform1i(firstAt, first);
       gl.drawElements(gl.TRIANGLES, 6 * Math.min(RUN, this.count - first), gl.UNSIGNED_SHORT, 0);
     }
+    const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    if (fence) this.fences.push(fence);
   }
 
   destroy() {

@@ -25,7 +25,6 @@ export class Surface {
     this.api = "none"; // what draws, in a word
     this.hardware = ""; // its name, "" where the browser hides it
     this.sorts = false; // takes splats in any order
-    this.isBusy = false; // with the picture before
     /** @type {Promise<unknown> | null} settled once nothing can be drawn with it any more */
     this.ends = null;
     this.movesFrom = this.movesFor = 0; // ms: since when it moves on from the state before, and for how long
@@ -40,6 +39,11 @@ export class Surface {
   /** Whether the browser took the graphics card away. */
   get isLost() {
     return false;
+  }
+
+  /** How many pictures are still being drawn. Beyond one, the page would stand still for the graphics card. */
+  get waiting() {
+    return 0;
   }
 
   /** Area that each splat has to cover, in areas of its own; 1 where no level is missing. */

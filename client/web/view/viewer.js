@@ -250,15 +250,26 @@ export class Viewer extends EventTarget {
     this.tell({ type: "view", view: { position, rotation, levels: this.levels, unsorted: this.renderer.sorts } });
   }
 
-  /** Fit the drawing buffer to the page. */
+  /** Fit the drawing buffer to the page, with the next frame. */
   resize() {
+    const { width, height } = this.#size();
+    if (width !== this.canvas.width || height !== this.canvas.height) this.dirty = true;
+  }
+
+  /** Of the drawing buffer, pixels. */
+  #size() {
     const scale = (this.resting ? 1 : this.resolution) * Math.min(devicePixelRatio || 1, 2);
     const width = Math.max(1, Math.round(this.canvas.clientWidth * scale));
-    const height = Math.max(1, Math.round(this.canvas.clientHeight * scale));
-    if (width === this.canvas.width && height === this.canvas.height) return;
-    this.canvas.width = width;
-    this.canvas.height = height;
-    this.dirty = true;
+    return { width, height: Math.max(1, Math.round(this.canvas.clientHeight * scale)) };
+  }
+
+  /** Give the drawing buffer its size. @param {boolean} [waits] - even if the page stands still until what is being drawn is done @returns {boolean} whether it has it */
+  #fit(waits = false) {
+    const { canvas } = this, { width, height } = this.#size();
+    if (width === canvas.width && height === canvas.height) return true;
+    if (this.renderer.waiting && !waits) return false;
+    Object.assign(canvas, { width, height });
+    return true;
   }
 
   /** @returns {import("./surface.js").View} */
@@ -275,7 +286,7 @@ export class Viewer extends EventTarget {
   }
 
   #frame() {
-    if (this.presenting || this.renderer.isBusy) return; // what takes longer than a frame shows by the time until the next
+    if (this.presenting || this.renderer.waiting > 1) return; // what takes longer than a frame shows by the time until the next
     const now = performance.now();
     if (this.glide) {
       const t = Math.min(1, (now - this.glide.start) / GLIDE_MS);
@@ -292,8 +303,9 @@ export class Viewer extends EventTarget {
     if (!this.dirty && (!rested || this.resting || !isCut)) return;
     if (rested !== this.resting) {
       this.resting = rested;
-      this.resize();
+      this.dirty = true;
     }
+    if (!this.#fit()) return;
     this.drew = !rested;
     this.drewAll = rested || !isCut;
     this.draw();
@@ -405,7 +417,7 @@ export class Viewer extends EventTarget {
   /** What is seen, as an image. @returns {Promise<Blob>} */
   capture() {
     this.resting = true; // at full resolution, until the next frame
-    this.resize();
+    this.#fit(true);
     this.draw();
     this.dirty = true;
     return new Promise((resolve, reject) => {

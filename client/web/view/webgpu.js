@@ -59,7 +59,7 @@ export class GpuRenderer extends Surface {
     this.programs = programs;
     this.rows = 0;
     this.count = 0;
-    this.pictures = 0;
+    this.pictures = 0; // that are being drawn
     this.view = this.#make(VIEW_BYTES, GPUBufferUsage.UNIFORM);
     this.corners = this.#make(2 * 6 * QUADS, GPUBufferUsage.INDEX);
     device.queue.writeBuffer(this.corners, 0, Uint16Array.from({ length: 6 * QUADS }, (_, i) => 4 * Math.trunc(i / 6) + CORNERS[i % 6]));
@@ -182,12 +182,14 @@ export class GpuRenderer extends Surface {
     this.#wait();
   }
 
-  /** It is busy until the picture is drawn. */
   async #wait() {
-    const number = ++this.pictures;
-    this.isBusy = true;
+    this.pictures++;
     await this.device.queue.onSubmittedWorkDone().catch(() => {}); // without a graphics card there is nothing to wait for
-    if (number === this.pictures) this.isBusy = false;
+    this.pictures--;
+  }
+
+  get waiting() {
+    return this.pictures;
   }
 
   destroy() {

@@ -128,6 +128,40 @@ def test_a_slow_device_answers_and_refines_at_rest(page: Any, url: str) -> None:
     assert page.evaluate("streamlod.state.splats") == splats
 
 
+# A graphics card that takes 200 ms for a picture. With a third one, and with another size of what is being drawn, a
+# page stands still until it is done.
+LATE_CARD = """
+window.standstills = [];
+const begun = new Map(), { fenceSync, getSyncParameter } = WebGL2RenderingContext.prototype;
+const drawing = () => [...begun.values()].filter((at) => performance.now() - at < 200).length;
+WebGL2RenderingContext.prototype.fenceSync = function (...all) {
+  const fence = fenceSync.apply(this, all);
+  if (drawing() > 1) standstills.push("a third picture");
+  begun.set(fence, performance.now());
+  return fence;
+};
+WebGL2RenderingContext.prototype.getSyncParameter = function (fence, name) {
+  return performance.now() - begun.get(fence) < 200 ? this.UNSIGNALED : getSyncParameter.call(this, fence, name);
+};
+const width = Object.getOwnPropertyDescriptor(HTMLCanvasElement.prototype, "width");
+Object.defineProperty(HTMLCanvasElement.prototype, "width", { ...width, set(to) {
+  if (this.id === "canvas" && drawing()) standstills.push("another size");
+  width.set.call(this, to);
+} });
+"""
+
+
+def test_the_page_never_stands_still_for_the_graphics_card(page: Any, url: str) -> None:
+    """It takes fewer pictures, and other sizes of them only when none is being drawn."""
+    page.add_init_script(LATE_CARD)
+    page.goto(url)
+    shows(page, "s.version === 0")
+    page.evaluate(COUNT_RESIZES)
+    page.evaluate(SLOW_DRAG)
+    page.wait_for_function("resizes > 1 && document.getElementById('canvas').width === 320", **WAIT)
+    assert page.evaluate("standstills") == []
+
+
 WARP = """async () => {
   const { walkRecords } = await import("/decode/container.js"), { loadKernel } = await import("/decode/expand.js");
   const { Engine } = await import("/view/engine.js"), { Renderer } = await import("/view/renderer.js");
