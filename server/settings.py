@@ -76,7 +76,9 @@ class Retention(_Strict):
 
     memory_bytes: int = Field(default=32 * MEGABYTE, ge=MEGABYTE, description="packets of one stream kept in memory")
     seconds: float = Field(default=3600.0, gt=0, description="age at which recorded groups of pictures are deleted")
-    bytes: int = Field(default=4_000 * MEGABYTE, ge=MEGABYTE, description="recorded bytes of one stream")
+    bytes: int = Field(
+        default=4_000 * MEGABYTE, ge=MEGABYTE, description="recorded bytes of one stream, its sound counted"
+    )
     reserve_fraction: float = Field(default=0.05, ge=0, lt=1, description="part of the disk that recording leaves free")
 
 

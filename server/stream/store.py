@@ -307,10 +307,9 @@ class Recording:
     def retain(self) -> None:
         """Delete closed segments that are too old or too much; the newest one stays. On the recording thread."""
         retention, now = self._store.retention, time.monotonic()
-        total = sum(s.size_bytes for s in self.segments[-1:])
-        old = []
+        total, old = sum(map(_kept_bytes, self.segments[-1:])), []
         for segment in reversed(self.segments[:-1]):
-            total += segment.size_bytes
+            total += _kept_bytes(segment)
             if total > retention.bytes or now - segment.begun > retention.seconds:
                 old.append(segment)
         newest = self.segments[-1:]
@@ -323,8 +322,7 @@ class Recording:
 
     def _delete(self, segments: list[Segment]) -> None:
         for segment in segments:
-            for path in (segment.path, sound_beside(segment.path)):
-                path.unlink(missing_ok=True)
+            _unlink(segment.path)
         self.segments = [s for s in self.segments if s not in segments]
 
     def _restore(self) -> list[Segment]:
@@ -353,8 +351,7 @@ class Recording:
         if not entries or entries[0].kind is not PacketKind.KEY:
             if _is_cut_short(path):
                 _LOG.warning("stream %s: %s holds no whole keyframe and is deleted", self._stream, path.name)
-                for each in (path, sound_beside(path)):
-                    each.unlink(missing_ok=True)
+                _unlink(path)
             else:
                 _LOG.warning("stream %s: %s is left alone: %s", self._stream, path.name, fault)
             return None
@@ -369,6 +366,20 @@ class Recording:
         size = sum(entry.size_bytes for entry in entries)
         begun_ns = max(0, written_ns - max(0, entries[-1].time_ns - entries[0].time_ns))
         return Segment(path, first, last, len(entries), size, begun_ns, _monotonic(begun_ns), True)
+
+
+def _kept_bytes(segment: Segment) -> int:
+    """Bytes that retention counts: of its packets, and of the file of its sound as it is now."""
+    try:
+        return segment.size_bytes + sound_beside(segment.path).stat().st_size
+    except OSError:  # no sound
+        return segment.size_bytes
+
+
+def _unlink(path: Path) -> None:
+    """Delete a segment's files; its sound first, as nobody would look for sound without pictures after a crash."""
+    for each in (sound_beside(path), path):
+        each.unlink(missing_ok=True)
 
 
 def _is_cut_short(path: Path) -> bool:

@@ -20,6 +20,7 @@ from streamlod.server.settings import Retention
 from streamlod.server.stream.bus import Bus
 from streamlod.server.stream.store import Recording, Store
 from tests.server.conftest import make_clip
+from tests.server.sounds import pieces
 
 
 def packets_of(tmp_path: Path, frames: int = 12, key_every: int = 4) -> list[StreamPacket]:
@@ -27,14 +28,18 @@ def packets_of(tmp_path: Path, frames: int = 12, key_every: int = 4) -> list[Str
     return [stream_packet(number, 1, data) for number, data in enumerate(clip.packets)]
 
 
-def record(folder: Path, packets: list[StreamPacket], *, close: bool = True, **retention: Any) -> list[str]:
-    """Record packets; names of the segments afterwards."""
+def record(
+    folder: Path, packets: list[StreamPacket], *, close: bool = True, sounding: float = 0.0, **retention: Any
+) -> list[str]:
+    """Record packets, and `sounding` seconds of sound with each keyframe; names of the segments afterwards."""
 
     async def run() -> list[str]:
         store = Store(folder, Retention.model_construct(**{**Retention().model_dump(), **retention}))
         recording = store.recording("main")
         for packet in packets:
             recording.append(packet)
+            if packet.is_key and sounding:
+                recording.append_sound(pieces(sounding))
         await recording.flush()
         if not close:  # what a kill leaves behind
             shutil.copytree(folder, folder.with_name("torn"))
@@ -111,6 +116,20 @@ def test_retention_by_bytes_and_age_keeps_the_newest(tmp_path: Path) -> None:
     packets = packets_of(tmp_path)
     assert len(record(tmp_path / "bytes", packets, bytes=1)) == 2  # the newest two at the last keyframe
     assert len(record(tmp_path / "age", packets, seconds=1e-9)) == 1
+
+
+def test_retention_by_bytes_counts_and_deletes_the_sound_beside(tmp_path: Path) -> None:
+    """Room for the pictures of all groups but not for their sound; the sound of an earlier run counts as well."""
+    packets = packets_of(tmp_path, frames=16)
+    pictures = sum(len(packet.data) for packet in packets)
+    folder = tmp_path / "state" / "streams" / "main"
+    names = record(tmp_path / "state", packets[:8], sounding=30.0)
+    assert sorted(path.name for path in folder.glob("*.opus")) == [f"{name}.opus" for name in names]
+    sound = min(path.stat().st_size for path in folder.glob("*.opus"))
+    assert sound > 2 * pictures
+    names = record(tmp_path / "state", packets[8:], sounding=30.0, bytes=pictures + int(1.5 * sound))
+    assert names == ["000001-0000000008.slod", "000001-0000000012.slod"]  # when the last began, one fitted beside none
+    assert sorted(path.name for path in folder.glob("*.slod*")) == sorted([*names, *(f"{name}.opus" for name in names)])
 
 
 def test_a_full_disk_stops_the_recording_and_the_next_keyframe_tries_again(
