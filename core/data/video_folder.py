@@ -27,19 +27,20 @@ from streamlod.core.data.colmap.model import find_model, points_of, read_model
 from streamlod.core.data.colmap.reader import fitted
 from streamlod.core.data.dataset import RawRecording
 from streamlod.core.data.files import blaming, number, read_array, read_json
-from streamlod.core.data.names import files_in, listed
+from streamlod.core.data.names import files_in, listed, numeric_key
 from streamlod.core.data.sources import videos
 from streamlod.core.data.video import SUFFIXES
 from streamlod.core.errors import InputError
 
-PATTERNS = {"n3dv": re.compile(r"cam\d+"), "meetroom": re.compile(r"cam_\d+")}
+PATTERNS = {"n3dv": re.compile(r"cam\d+", re.IGNORECASE), "meetroom": re.compile(r"cam_\d+", re.IGNORECASE)}
 _MAX_NUMBER = 1e12
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
 
 
 def video_files(path: Path, layout: str) -> list[Path]:
-    """The cameras' videos in numeric order."""
-    return [file for file in files_in(path, SUFFIXES) if PATTERNS[layout].fullmatch(file.stem)]
+    """The cameras' videos in the order of their numbers, whatever the case of their names."""
+    files = (file for file in files_in(path, SUFFIXES) if PATTERNS[layout].fullmatch(file.stem))
+    return sorted(files, key=lambda file: numeric_key(file.stem.lower()))
 
 
 def read_video_folder(path: Path, layout: str) -> RawRecording:

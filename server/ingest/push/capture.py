@@ -13,6 +13,7 @@ import cv2
 
 from streamlod.core.camera.grid import period_of
 from streamlod.core.data.names import files_in, numeric_key
+from streamlod.core.data.video import SUFFIXES
 from streamlod.core.data.video.decoding import played_pictures
 from streamlod.core.data.video.times import pictures_of
 from streamlod.core.data.video.upright import upright
@@ -20,7 +21,6 @@ from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.address import Address, parse_address, webcam_options
 from streamlod.server.ingest.push.message import Codec
 
-_VIDEOS = (".mp4", ".mkv", ".mov", ".ts", ".avi", ".webm")
 _PICTURES = {".jpg": Codec.JPEG, ".jpeg": Codec.JPEG, ".png": Codec.PNG}
 _JPEG_QUALITY = 92
 _SECOND_NS = 1_000_000_000
@@ -135,7 +135,7 @@ def _cameras_in(folder: Path) -> list[tuple[str, Path | Address]]:
     shown = (child for child in folder.iterdir() if not child.name.startswith("."))
     children = sorted(shown, key=lambda child: numeric_key(child.name))
     found: list[tuple[str, Path | Address]] = [
-        (child.stem, _address(str(child))) for child in children if child.suffix.lower() in _VIDEOS
+        (child.stem, _address(str(child))) for child in children if child.suffix.lower() in SUFFIXES
     ]
     found += [(child.name, child) for child in children if child.is_dir() and _pictures_in(child)]
     if not found:

@@ -49,6 +49,14 @@ def test_n3dv_cameras_keep_names_focal_lengths_and_poses_across_gaps(n3dv: Path)
     _assert_same_cameras(dataset, GAPS)
 
 
+def test_names_in_capitals_count_by_their_numbers(n3dv: Path) -> None:
+    for name, called in (("cam02", "CAM02.MP4"), ("cam05", "Cam05.mp4")):
+        (n3dv / f"{name}.mp4").rename(n3dv / called)
+    dataset = open_dataset(n3dv)
+    assert dataset.names == ("cam00", "CAM02", "Cam05", "cam11")
+    assert [read_back(image)[0] for image in next(dataset.frames()).images] == [0, 1, 2, 3]
+
+
 def test_frames_hold_every_camera_at_its_instant(n3dv: Path) -> None:
     for index, frame in enumerate(open_dataset(n3dv).frames()):
         assert frame.index == index

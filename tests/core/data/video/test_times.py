@@ -44,6 +44,7 @@ def _seen(path: Path, fps: float = 30) -> dict[int, int]:
         (".mkv", {}),
         (".avi", {}),
         (".ts", {}),
+        (".flv", {}),
     ],
 )
 def test_every_container_gives_each_picture_its_time(
