@@ -21,7 +21,10 @@ from streamlod.core.data.video.times import PictureTimes, pictures_of
 from streamlod.core.data.video.upright import upright_size
 from streamlod.core.errors import InputError
 
-SUFFIXES = tuple(".mp4 .mkv .mov .webm .avi .m4v .ts .mts .m2ts .mpg .mpeg .mxf .3gp .wmv .flv .ogv".split())
+SUFFIXES = (
+    *(".mp4", ".mkv", ".mov", ".webm", ".avi", ".m4v", ".ts", ".mts", ".m2ts", ".mpg", ".mpeg"),
+    *(".mxf", ".3gp", ".wmv", ".flv", ".ogv"),
+)
 _HIGH_DYNAMIC_RANGE = {16: "PQ", 18: "HLG"}  # transfer characteristics of ITU-T H.273
 _log = logging.getLogger(__name__)
 MAX_PICTURES = 4_000_000  # of a file: a day and a half at 30 a second
