@@ -96,7 +96,9 @@ class EdgeStream(Stream):
     def update(self, described: OriginStream) -> None:
         """Take over what the origin says now; a stream that is pulled hears of its state sooner."""
         self.source, self.loop, self.created_at = described.source, described.loop, described.created_at
+        before = self.sound
         self.file_sound = None if described.sound is None else described.sound.model_dump()
+        self._tell_sound(before)
         self.report, self.ingest = described.report, described.ingest
         if not self.is_pulled:
             self.progress = described.progress

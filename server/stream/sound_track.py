@@ -59,7 +59,7 @@ class SoundTrack:
         if not self._held:
             return None
         oldest = self._held[0].piece
-        return {"begin_ns": oldest.begin_ns, "channels": oldest.settings.channels, "live": True}
+        return {"begin_ns": max(0, oldest.begin_ns), "channels": oldest.settings.channels, "live": True}
 
     def add(self, data: bytes) -> None:
         """Take the newest piece; one that does not follow in time is left out.

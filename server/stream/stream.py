@@ -192,6 +192,10 @@ class Stream:
         """Take a piece of live sound; viewers are told when there is some at last."""
         before = self.sound
         self.sound_track.add(data)
+        self._tell_sound(before)
+
+    def _tell_sound(self, before: dict[str, Any] | None) -> None:
+        """Tell viewers that there is sound, if there was none `before`."""
         if before is None and self.sound is not None:
             self._tell(event("sound", **self.sound))
 

@@ -60,6 +60,7 @@ class Archive:
         self._connection, self._packet_bytes = connection, packet_bytes
         self.stream = names.packets(stream)
         self._keyframes = names.subject(stream, incarnation, "k")
+        self.sound = names.subject(stream, incarnation, "s")
         self.subject = names.subject(stream, incarnation, "*")
         self._groups: list[_Group] = []
         self._created: datetime | None = None  # the JetStream stream; another time means that what is known is lost

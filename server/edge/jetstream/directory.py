@@ -247,7 +247,9 @@ def _checked(values: Any) -> OriginStream:
     version = values.get("protocol", PROTOCOL_VERSION) if isinstance(values, dict) else None
     if version != PROTOCOL_VERSION:
         raise ValueError(f"version {version!r:.20} of the protocol, not {PROTOCOL_VERSION}")
-    return OriginStream.model_validate(values | {"sound": None})  # files do not go through NATS
+    found = OriginStream.model_validate(values)
+    is_live = found.sound is not None and found.sound.live
+    return found if is_live else found.model_copy(update={"sound": None})  # files do not go through NATS
 
 
 def _holder_of(found: RawStreamMsg | None) -> tuple[object, object]:

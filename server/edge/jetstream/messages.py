@@ -38,7 +38,7 @@ class Names:
         return f"{self.prefix}-packets-{stream}"
 
     def subject(self, stream: str, incarnation: str, kind: str) -> str:
-        """Subject of keyframes (kind ``k``), of residuals (``r``), or of both (``*``)."""
+        """Subject of keyframes (kind ``k``), of residuals (``r``), of pieces of sound (``s``), or of all (``*``)."""
         return f"{self.prefix}.packets.{stream}.{incarnation}.{kind}"
 
 

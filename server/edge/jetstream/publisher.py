@@ -22,7 +22,7 @@ from streamlod.server.edge.jetstream.directory import (
     create_stream,
     directory_config,
 )
-from streamlod.server.edge.jetstream.messages import MSG_ID, MessageId, Names, pieces_of
+from streamlod.server.edge.jetstream.messages import MSG_ID, Names, pieces_of
 from streamlod.server.protocol.packets import StreamPacket
 from streamlod.server.settings import Settings
 from streamlod.server.stream.stream import Stream
@@ -91,20 +91,21 @@ class Publisher:
 
     async def run(self) -> None:
         """Publish until cancelled, or the stream was deleted."""
-        sending = asyncio.create_task(self._send())
+        sending = [asyncio.create_task(work) for work in (self._send(), self._send_sound())]
         try:
             while not self.stream.deleted:
                 async with self._telling:
                     if not self._has_left:
                         await self._tell()
                 state, limit = (self.stream.state, self.stream.detail), time.monotonic() + TELL_SECONDS
-                if sending.done():
-                    sending.result()
+                for task in sending:
+                    if task.done():
+                        task.result()
                 while time.monotonic() < limit and (self.stream.state, self.stream.detail) == state:
                     await asyncio.sleep(_LOOK_SECONDS)
             await self._remove()
         finally:
-            await end(sending)
+            await end(*sending)
 
     async def finish(self) -> None:
         """Wait for what is queued; then say that this server publishes the stream no more."""
@@ -165,22 +166,38 @@ class Publisher:
                 await self._queued.wait()
             waiting = self._queue[0]
             for found, data in pieces_of(self.stream.incarnation, waiting.packet, self._connection.piece_bytes):
-                await self._store(found, data)
+                await self._store(found.kind, str(found), data)
             if self._queue and self._queue[0] is waiting:  # it was not left out meanwhile
                 self._queue.popleft()
                 self.waiting_bytes -= len(waiting.packet.data)
             if not waiting.stored.done():
                 waiting.stored.set_result(None)
 
-    async def _store(self, found: MessageId, data: bytes) -> None:
+    async def _send_sound(self) -> None:
+        """Publish live sound as it comes. While JetStream takes none it waits where it is held for viewers anyway."""
+        track, heard, sent_ns = self.stream.sound_track, asyncio.Event(), 0
+        track.listeners.add(heard.set)
+        try:
+            while True:
+                await heard.wait()
+                heard.clear()
+                while (facts := track.facts) and (pieces := await track.read(max(sent_ns, facts["begin_ns"]))):
+                    for each in pieces:
+                        name = f"{self.stream.incarnation}/s/{each.piece.begin_ns}"
+                        await self._store("s", name, each.message.data)
+                        sent_ns = each.piece.end_ns - 1
+        finally:
+            track.listeners.discard(heard.set)
+
+    async def _store(self, kind: str, message_id: str, data: bytes) -> None:
         """Publish one message, as often as it takes; JetStream stores it once."""
-        subject = self._names.subject(self.stream.id, found.incarnation, found.kind)
+        subject = self._names.subject(self.stream.id, self.stream.incarnation, kind)
         name = self._names.packets(self.stream.id)
         while True:
             await self._is_ours.wait()
             try:
                 await self._connection.jetstream.publish(
-                    subject, data, timeout=_ACK_SECONDS, stream=name, headers={MSG_ID: str(found)}
+                    subject, data, timeout=_ACK_SECONDS, stream=name, headers={MSG_ID: message_id}
                 )
                 return
             except (Error, OSError) as error:

@@ -13,7 +13,7 @@ from streamlod.server.edge.jetstream.bus import ArchiveBus
 from streamlod.server.edge.jetstream.connection import NatsConnection
 from streamlod.server.edge.jetstream.directory import Directory
 from streamlod.server.edge.jetstream.messages import Assembler, Names
-from streamlod.server.edge.jetstream.reading import Selection, follow
+from streamlod.server.edge.jetstream.reading import Selection, follow, read
 from streamlod.server.edge.origin import OriginStream
 from streamlod.server.edge.supply import PacketTaker
 from streamlod.server.protocol.messages import event
@@ -24,6 +24,7 @@ _LOG = logging.getLogger(__name__)
 _RETRY_SECONDS = 0.25
 _LOST = "it does not answer"  # what viewers hear; the connection's log says more
 _LOOK_SECONDS = 0.25  # between two looks at the stream's state
+_SOUND_BEFORE = 500  # messages before the newest keyframe, among which its sound lies: it was stored while that trained
 
 
 class ArchivedStream:
@@ -54,6 +55,7 @@ class ArchivedStream:
         while True:
             try:
                 await self._archive.load()
+                await self._begin_sound(taker)
                 break
             except OSError as error:
                 _LOG.debug("stream %s: %s", self._stream.id, error)
@@ -82,6 +84,18 @@ class ArchivedStream:
             now_ns,
         )
 
+    async def _begin_sound(self, taker: PacketTaker) -> None:
+        """Hand on the sound that was stored shortly before the newest keyframe.
+
+        Raises:
+            OSError: NATS does not answer.
+        """
+        key = self._archive.newest_key or 1
+        selection = Selection(self._archive.stream, self._archive.sound)
+        async with aclosing(read(self._connection, selection, max(1, key - _SOUND_BEFORE), key)) as messages:
+            async for message in messages:
+                taker.on_sound(message.data)
+
     async def _follow(self, taker: PacketTaker) -> None:
         """Hand on every packet from the newest keyframe on; after a gap, from the next keyframe on."""
 
@@ -102,6 +116,9 @@ class ArchivedStream:
         )
         async with aclosing(messages):
             async for message in messages:
+                if message.subject == self._archive.sound:
+                    taker.on_sound(message.data)
+                    continue
                 found = id_of(message)
                 data = None if found is None else assembler.push(found, message.data)
                 if found is None or data is None:

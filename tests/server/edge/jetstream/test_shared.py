@@ -29,6 +29,7 @@ from tests.server.conftest import Clip, Running, make_clip, running, viewing
 from tests.server.edge.jetstream.nats_servers import RETENTION, Nats, nats, needs_nats
 from tests.server.edge.jetstream.recorder import packets_in, stored
 from tests.server.edge.processes import wait_live
+from tests.server.sounds import hear, pieces
 from tests.waiting import wait
 
 pytestmark = needs_nats
@@ -110,6 +111,25 @@ def test_a_node_that_starts_later_serves_the_whole_past_byte_for_byte(
             assert part.status_code == 200
             assert part.content.count(long_clip.packets[200]) == 1
             assert long_clip.packets[60] not in part.content
+
+
+def test_live_sound_reaches_viewers_of_other_nodes_and_is_stored_once(one: Nats, slow_clip: Clip) -> None:
+    """What is heard before anybody watches there, as it belongs to pictures to come, and what comes later."""
+    settings, told = one.settings(), pieces(12.0)
+    with running(settings, StreamSpec(play=slow_clip.path, id="heard")) as there, running(settings) as here:
+        hear(there, told[:30], "heard")
+        wait(lambda: serves(here, "heard")["sound"])
+        with viewing(here, "heard", max_queue=None) as viewer:
+            assert viewer.hello(sound=True).welcome["sound"] == {"begin_ns": 0, "channels": 1, "live": True}
+            viewer.until_heard(told[29].end_ns - 1)
+            hear(there, told[30:], "heard")
+            viewer.until_heard(told[-1].end_ns - 1)
+            heard = [piece for piece in told if piece.begin_ns >= viewer.sound[0].begin_ns]
+            assert viewer.sound == heard
+            assert told[1:] == heard[-len(told[1:]) :]
+        with here.client() as client:
+            assert client.get("/v1/streams/heard/sound?from_ns=6000000000").headers["content-type"] == "audio/ogg"
+            assert client.get("/v1/streams/heard/manifest").json()["gops"]  # sound among the packets is no packet
 
 
 def test_what_is_stored_is_each_packet_once(one: Nats, publishing: Running, long_clip: Clip) -> None:
