@@ -15,6 +15,7 @@ from streamlod.core.errors import BackendUnavailable, InputError
 from streamlod.core.files import write_bytes, write_text
 from streamlod.core.masking import masked
 from streamlod.server.ingest.cameras.address import Address, parse_address
+from streamlod.server.ingest.cameras.sound_source import choose_sound
 
 if TYPE_CHECKING:
     from streamlod.server.ingest.cameras.definition import RigDefinition
@@ -47,9 +48,14 @@ def find(
     fps: float,
     say: Say,
     *,
+    sound: str | None = None,
     overwrite: bool,
 ) -> None:
-    """Write the rig's file of the sources given, or found, and a contact sheet beside it."""
+    """Write the rig's file of the sources given, or found, and a contact sheet beside it.
+
+    Args:
+        sound: whose sound is heard: a camera's name, a microphone or a file, as docs/sound.md says.
+    """
     from streamlod.server.ingest.finding.looking import look_through
     from streamlod.server.ingest.finding.sheet import contact_sheet
 
@@ -73,7 +79,11 @@ def find(
         cameras.append({"name": f"phone{number}", "source": "push:", "width": wanted[0], "height": wanted[1]})
     if not cameras:
         raise InputError("rig", "none of its cameras gave a picture")
-    value = {"fps": fps, "calibration": _WALK, "cameras": cameras}
+    value: dict[str, Any] = {"fps": fps, "calibration": _WALK, "cameras": cameras}
+    if sound is None:
+        say("nothing is heard; --sound NAME, a camera or a microphone, changes that")
+    else:
+        value["sound"] = _heard(out, sound, cameras)
     write_text(out, json.dumps(value, indent=1) + "\n", private=True)  # sources may hold passwords
     say(f"{out}: {len(cameras)} cameras; they are calibrated by the folder {_WALK}, once there is one")
     if pictures:
@@ -109,6 +119,13 @@ def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings
     for name, one in found.items():
         slow = f", {one.left_out} left out as this machine was too slow" if one.left_out else ""
         say(f"{record_to / name}.mp4: {one.pictures} pictures{slow}")
+
+
+def _heard(out: Path, name: str, cameras: Sequence[Mapping[str, Any]]) -> str:
+    """The rig's field `sound`, checked; a file is named from the root, as the cameras' are."""
+    found = choose_sound(out, name, {each["name"]: parse_address(each["source"]) for each in cameras}, name)
+    is_file = found.address is not None and found.address.scheme == "file" and Path(name).is_file()
+    return str(Path(name).absolute()) if is_file else name
 
 
 def _named(arguments: Sequence[str]) -> list[NamedSource]:

@@ -42,6 +42,9 @@ def rig(
         str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Asked of webcams and phones.  [default: 1280x720]")
     ] = None,
     fps: Annotated[float, typer.Option(min=0.1, max=1000, help="Pictures a second.")] = 30.0,
+    sound: Annotated[
+        str | None, typer.Option(metavar="NAME|SOURCE", help="Whose sound is heard: a camera, a microphone or a file.")
+    ] = None,
     record: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Record the cameras of a rig.json, a video each, to calibrate.")
     ] = None,
@@ -62,13 +65,15 @@ def rig(
 
     given = sources or []
     if len(given) == 1 and given[0].endswith(".json"):
+        if sound is not None:
+            raise InputError("--sound", f"is for a new rig; write it into the field sound of {given[0]}")
         settings = chosen_settings(config, host=host, port=port, tokens=tokens, insecure=insecure or None)
         watch(Path(given[0]), record, seconds, settings, typer.echo, overwrite=overwrite)
     elif record is not None:
         raise InputError("--record", "records the cameras of a rig.json; write that first, and give it")
     else:
         wanted = None if size is None else picture_size(size)
-        find(given, out, phones, wanted, fps, typer.echo, overwrite=overwrite)
+        find(given, out, phones, wanted, fps, typer.echo, sound=sound, overwrite=overwrite)
 
 
 @app.command()

@@ -32,10 +32,10 @@ FPS = 20
 SKEW_NS = 7_000_000  # by which the second phone films later
 
 
-def found(folder: Path, *sources: str, phones: int = 0, overwrite: bool = False) -> list[str]:
+def found(folder: Path, *sources: str, phones: int = 0, sound: str | None = None, overwrite: bool = False) -> list[str]:
     """What `find` says."""
     said: list[str] = []
-    find(sources, folder / "rig.json", phones, (160, 128), FPS, said.append, overwrite=overwrite)
+    find(sources, folder / "rig.json", phones, (160, 128), FPS, said.append, sound=sound, overwrite=overwrite)
     return said
 
 
@@ -64,6 +64,22 @@ def test_the_file_names_what_gives_pictures_with_its_size(tmp_path: Path) -> Non
     assert settings.certificate_key is not None
     ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(settings.certificate, settings.certificate_key)
     assert settings.certificate_key.stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.parametrize("sound", ["phone1", "alsa:///default", "music.wav"])
+def test_the_file_names_whose_sound_is_heard(tmp_path: Path, sound: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "music.wav").touch()
+    (tmp_path / "rigs").mkdir()
+    found(tmp_path / "rigs", phones=1, sound=sound)
+    heard = json.loads((tmp_path / "rigs" / "rig.json").read_text())["sound"]
+    assert heard == (str(tmp_path / sound) if sound.endswith(".wav") else sound)
+
+
+def test_sound_of_nobody_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"sound of 'phone2', which is neither a camera \(phone1\) nor a file"):
+        found(tmp_path, phones=1, sound="phone2")
+    assert not (tmp_path / "rig.json").exists()
 
 
 def test_what_cannot_be_a_rig_is_refused(tmp_path: Path) -> None:
