@@ -218,9 +218,9 @@ def _existing(scene: Path, frame: int) -> int:
 
 def _check_suffix(out: Path | None, file_format: str) -> None:
     """Refuse a file that is called like one of another snapshot format."""
-    called = next((each for each in FORMATS.values() if out is not None and out.suffix.lower() == each.suffix), None)
-    if called is not None and called.name != file_format:
-        raise InputError("--out", f"{out} is called like {called.name}; add --format {called.name}")
+    called = [each.name for each in FORMATS.values() if out is not None and out.suffix.lower() == each.suffix]
+    if called and file_format not in called:
+        raise InputError("--out", f"{out} is called like {called[0]}; add --format {called[0]}")
 
 
 def _snapshot(path: Path, scene: Scene, viewpoint: str, file_format: str) -> str:

@@ -46,6 +46,12 @@ def _encode_spz(cloud: GaussianCloud, comment: str) -> bytes:
     return encode_spz(cloud)
 
 
+def _encode_spz4(cloud: GaussianCloud, comment: str) -> bytes:
+    from streamlod.codec.export.spz import encode_spz
+
+    return encode_spz(cloud, version=4)
+
+
 def _decode_spz(path: Path) -> GaussianCloud:
     from streamlod.codec.export.read_spz import decode_spz
 
@@ -69,6 +75,7 @@ FORMATS = {
     for each in (
         SnapshotFormat("ply", ".ply", _encode_ply, _decode_ply),
         SnapshotFormat("spz", ".spz", _encode_spz, _decode_spz),
+        SnapshotFormat("spz4", ".spz", _encode_spz4, _decode_spz),  # the suffix alone means version 3
         SnapshotFormat("glb", ".glb", _encode_glb, _decode_glb),
     )
 }

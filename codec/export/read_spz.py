@@ -1,4 +1,4 @@
-"""SPZ files, versions 2 and 3; spherical harmonics beyond degree 0 are dropped. Files are hostile."""
+"""SPZ files, versions 2 to 4; spherical harmonics beyond degree 0 are dropped. Files are hostile."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from streamlod.codec.export import spz4
 from streamlod.codec.export.ply import SH_C0
 from streamlod.core.arrays import Float32, UInt8
 from streamlod.core.errors import InputError
@@ -15,10 +16,10 @@ from streamlod.core.scene.gaussians import GaussianCloud
 
 MAX_GAUSSIANS = 20_000_000
 _MAX_BYTES = 1 << 30  # of a file
-_HEADER = struct.Struct("<IIIBBBB")
-_MAGIC = 0x5053474E  # "NGSP"
+_HEADER = struct.Struct("<4xIIBBBB")
+_MAGIC = b"NGSP"
 _GZIP = 31  # zlib's name for gzip with the widest window
-_ROW_BYTES = {2: 9 + 1 + 3 + 3 + 3, 3: 9 + 1 + 3 + 3 + 4}
+_COLUMNS = {2: (9, 1, 3, 3, 3), 3: (9, 1, 3, 3, 4), 4: (9, 1, 3, 3, 4)}  # bytes of a row, in the file's order
 _AXES = np.array([1, -1, -1], np.float32)  # the format is right-up-back, a scene right-down-forward
 
 
@@ -34,23 +35,38 @@ def decode_spz(path: Path) -> GaussianCloud:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(path, f"cannot be read: {error.strerror or error}") from error
+    if data.startswith(_MAGIC):
+        version, count, bits = _announced(path, data, (4,))
+        body = spz4.unpack(path, data, [count * size for size in _COLUMNS[version]])
+    else:
+        version, count, bits, body = _inflated(path, data)
+    return _cloud(np.frombuffer(body, np.uint8), count, version, bits)
+
+
+def _announced(path: Path, head: bytes, versions: tuple[int, ...]) -> tuple[int, int, int]:
+    """Version, number of Gaussians, and bits behind the point."""
+    if len(head) < _HEADER.size:
+        raise InputError(path, "is no SPZ file, or is cut off")
+    version, count, _, bits, _, _ = _HEADER.unpack_from(head)
+    if not head.startswith(_MAGIC) or version not in versions:
+        raise InputError(path, "is no SPZ file of version 2, 3 or 4; other versions are not read here")
+    if count > MAX_GAUSSIANS or bits > 31:
+        raise InputError(path, f"announces {count} Gaussians; at most {MAX_GAUSSIANS} are read")
+    return version, count, bits
+
+
+def _inflated(path: Path, data: bytes) -> tuple[int, int, int, bytes]:
+    """Version, number of Gaussians, bits behind the point, and rows of a file of version 2 or 3."""
     inflater = zlib.decompressobj(_GZIP)
     try:
-        head = inflater.decompress(data, _HEADER.size)
-        if len(head) < _HEADER.size:
-            raise InputError(path, "is no SPZ file, or is cut off")
-        magic, version, count, _, bits, _, _ = _HEADER.unpack(head)
-        if magic != _MAGIC or version not in _ROW_BYTES:
-            raise InputError(path, "is no SPZ file of version 2 or 3; other versions are not read here")
-        if count > MAX_GAUSSIANS or bits > 31:
-            raise InputError(path, f"announces {count} Gaussians; at most {MAX_GAUSSIANS} are read")
-        wanted = count * _ROW_BYTES[version]
+        version, count, bits = _announced(path, inflater.decompress(data, _HEADER.size), (2, 3))
+        wanted = count * sum(_COLUMNS[version])
         body = inflater.decompress(inflater.unconsumed_tail, wanted) if wanted else b""
     except zlib.error as error:
-        raise InputError(path, "is no SPZ file of version 2 or 3, or is damaged") from error
+        raise InputError(path, "is no SPZ file of version 2, 3 or 4, or is damaged") from error
     if len(body) < wanted:
         raise InputError(path, f"is cut off: {wanted} bytes of Gaussians are announced, {len(body)} are there")
-    return _cloud(np.frombuffer(body, np.uint8), count, version, bits)
+    return version, count, bits, body
 
 
 def _cloud(body: UInt8, count: int, version: int, bits: int) -> GaussianCloud:
@@ -59,7 +75,7 @@ def _cloud(body: UInt8, count: int, version: int, bits: int) -> GaussianCloud:
     triples = places.reshape(count, 3, 3).astype(np.int32)
     fixed = triples[..., 0] | triples[..., 1] << 8 | triples[..., 2] << 16
     means = (fixed - ((fixed & 0x800000) << 1)).astype(np.float64) / 2.0**bits
-    quaternions = (_packed if version == 3 else _plain)(rotations.reshape(count, -1))
+    quaternions = (_plain if version == 2 else _packed)(rotations.reshape(count, -1))
     colour = (colours.reshape(count, 3) / 255.0 - 0.5) / 0.15 * SH_C0 + 0.5
     parts = (
         means * _AXES,
@@ -79,7 +95,7 @@ def _plain(rows: UInt8) -> Float32:
 
 
 def _packed(rows: UInt8) -> Float32:
-    """[G,4] w x y z of version 3: the index of the largest of x y z w, the others as sign and 9 bits."""
+    """[G,4] w x y z of versions 3 and 4: the index of the largest of x y z w, the others as sign and 9 bits."""
     words = np.ascontiguousarray(rows).view("<u4")[:, 0].astype(np.int64)
     largest, xyzw = words >> 30, np.zeros((len(words), 4))
     for axis in range(3, -1, -1):

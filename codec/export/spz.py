@@ -1,4 +1,4 @@
-"""SPZ, version 3: 24-bit fixed-point positions, 8-bit colours, scales and opacities, smallest-three rotations, gzip.
+"""SPZ, versions 3 and 4: 24-bit fixed-point positions, 8-bit colours, scales and opacities, smallest-three rotations.
 
 Written from the format's public description (github.com/nianticlabs/spz); no spherical harmonics beyond degree 0.
 Axes are the format's own, right-up-back: the scene and our .ply are right-down-forward.
@@ -11,13 +11,13 @@ import struct
 
 import numpy as np
 
+from streamlod.codec.export import spz4
 from streamlod.codec.export.ply import SH_C0, unit_quaternions
 from streamlod.core.arrays import Float32, Float64, UInt8
 from streamlod.core.scene.gaussians import GaussianCloud
 
 _MAGIC = 0x5053474E  # "NGSP"
-_VERSION = 3
-_HEADER = struct.Struct("<IIIBBBB")  # magic, version, count, SH degree, fractional bits, flags, reserved
+_HEADER = struct.Struct("<IIIBBB")  # magic, version, count, SH degree, fractional bits, flags
 _AXES = np.array([1, -1, -1], np.float32)  # a half turn about x
 _MAX_POSITION = (1 << 23) - 1
 _FINEST = 20  # fractional bits: a unit is a millionth
@@ -26,25 +26,29 @@ _NINE_BITS = (1 << 9) - 1  # magnitude of a rotation component
 _LEVEL = 6  # of gzip
 
 
-def encode_spz(cloud: GaussianCloud) -> bytes:
+def encode_spz(cloud: GaussianCloud, version: int = 3) -> bytes:
     """The file's bytes.
+
+    Args:
+        version: 3, which more programs read, or 4, which is smaller.
 
     Raises:
         ValueError: positions reach beyond 8 million units, which the format cannot hold.
+        InputError: version 4 needs a package that is not there.
     """
     means, quaternions = cloud.means * _AXES, unit_quaternions(cloud.quaternions) * np.append(np.float32(1), _AXES)
     bits = _fractional_bits(means)
-    body = b"".join(
-        (
-            _HEADER.pack(_MAGIC, _VERSION, len(cloud), 0, bits, 0, 0),
-            _positions(means.astype(np.float64), bits),
-            _bytes(cloud.opacities * 255).tobytes(),
-            _bytes(((cloud.colours - 0.5) / SH_C0 * _COLOUR_SCALE + 0.5) * 255).tobytes(),
-            _bytes((np.log(np.maximum(cloud.scales, 1e-12)) + 10) * 16).tobytes(),
-            _rotations(quaternions),
-        )
+    head = _HEADER.pack(_MAGIC, version, len(cloud), 0, bits, 0)
+    streams = (
+        _positions(means.astype(np.float64), bits),
+        _bytes(cloud.opacities * 255).tobytes(),
+        _bytes(((cloud.colours - 0.5) / SH_C0 * _COLOUR_SCALE + 0.5) * 255).tobytes(),
+        _bytes((np.log(np.maximum(cloud.scales, 1e-12)) + 10) * 16).tobytes(),
+        _rotations(quaternions),
     )
-    return gzip.compress(body, _LEVEL, mtime=0)
+    if version == 4:
+        return spz4.pack(head, streams)
+    return gzip.compress(b"".join((head, b"\0", *streams)), _LEVEL, mtime=0)
 
 
 def _fractional_bits(means: Float32) -> int:

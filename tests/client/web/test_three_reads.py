@@ -10,11 +10,18 @@ import numpy as np
 import pytest
 
 from streamlod.codec.export import bake, write_snapshot
+from streamlod.codec.snapshots import FORMATS
 from tests.client.web.scenes import make_scene
 
 HERE = Path(__file__).parent
-AXES = {"ply": np.ones(3), "spz": np.array([1, -1, -1]), "glb": np.array([1, -1, -1])}  # the last two have y up
-SIZE_TOLERANCE = {"ply": 1e-5, "spz": 1 / 15, "glb": 1e-5}  # of covariances: SPZ has 16 log-scales to one
+Y_UP = np.array([1, -1, -1])
+AXES = {"ply": np.ones(3), "spz": Y_UP, "spz4": Y_UP, "glb": Y_UP}
+SIZE_TOLERANCE = {
+    "ply": 1e-5,
+    "spz": 1 / 15,
+    "spz4": 1 / 15,
+    "glb": 1e-5,
+}  # of covariances: SPZ has 16 log-scales to one
 
 
 @pytest.mark.parametrize("kind", AXES)
@@ -22,11 +29,11 @@ def test_three_js_reads_what_was_written(node: str, tmp_path: Path, kind: str) -
     """Centres, covariances, colours and opacities, in the axes of the format."""
     if not (HERE / "node_modules" / "three").exists():
         pytest.skip("three is not installed: npm install --prefix tests/client/web")
-    if kind == "glb":
-        pytest.importorskip("fourdgs", reason="glTF needs fourdgs: pip install 'streamlod[interchange]'")
+    for package in {"glb": ["fourdgs"], "spz4": ["zstandard"]}.get(kind, []):
+        pytest.importorskip(package, reason="such files need streamlod[interchange]")
     scene = make_scene(100, view_dependent=False)
     cloud = bake(scene, scene.header.cameras[0].centre[None])
-    path = tmp_path / f"a.{kind}"
+    path = tmp_path / f"a{FORMATS[kind].suffix}"
     write_snapshot(path, cloud, kind, "frame 0")
     command = [node, "three_reads.mjs", str(path)]
     done = subprocess.run(command, cwd=HERE, capture_output=True, text=True, timeout=100, check=False)

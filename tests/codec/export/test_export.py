@@ -54,8 +54,9 @@ def test_gsply_reads_our_ply(cloud: GaussianCloud, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
 
 
-def test_gsply_reads_our_spz_within_its_quantisation(cloud: GaussianCloud, tmp_path: Path) -> None:
-    write_snapshot(tmp_path / "a.spz", cloud, "spz", "")
+@pytest.mark.parametrize("kind", ["spz", "spz4"])
+def test_gsply_reads_our_spz_within_its_quantisation(cloud: GaussianCloud, tmp_path: Path, kind: str) -> None:
+    write_snapshot(tmp_path / "a.spz", cloud, kind, "")
     found = gsply.read_spz(str(tmp_path / "a.spz"))
     assert_close(
         found, cloud, HALF_TURN, (2e-6, 1 / 32 + 1e-4, 0.5 / 255 / 0.15 * SH_C0 + 1e-4, 0.5 / 255 + 1e-4, 1e-5)

@@ -62,8 +62,8 @@ def _assert_shows(scene: Scene, cloud: GaussianCloud, scale: float) -> None:
 
 @pytest.mark.parametrize("name", [each.name for each in FORMATS.values() if each.decode is not None])
 def test_a_file_shows_its_gaussians_and_stays_alive(tmp_path: Path, name: str) -> None:
-    if name == "glb":
-        pytest.importorskip("fourdgs", reason="reads and writes glTF: pip install fourdgs")
+    for package in {"glb": ["fourdgs"], "spz4": ["zstandard"]}.get(name, []):
+        pytest.importorskip(package, reason="such files need streamlod[interchange]")
     path = _write(tmp_path, [_cloud()], name) / f"frame_0{FORMATS[name].suffix}"
     assert import_files(path, tmp_path / "a.slod") == f"{tmp_path / 'a.slod'}: 1 frame of 400 Gaussians, 1 keyframes"
     _assert_shows(decode_version(tmp_path / "a.slod", 0), _cloud(), 0.04)
@@ -132,11 +132,14 @@ def test_files_of_another_program_are_read(tmp_path: Path) -> None:
 
 
 def test_files_that_are_damaged_or_something_else_are_refused_by_name(tmp_path: Path) -> None:
-    ply, spz = FORMATS["ply"].encode(_cloud(), "x"), FORMATS["spz"].encode(_cloud(), "")
+    ply, spz, spz4 = (FORMATS[name].encode(_cloud(), "x") for name in ("ply", "spz", "spz4"))
     head = struct.pack("<IIIBBBB", 0x5053474E, 3, 4_000_000_000, 0, 12, 0, 0)
     points = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n"
     wrong = {
         "cut.ply": ply[:-1], "points.ply": points, "empty.ply": b"", "text.ply": b"hello\n",
+        "cut4.spz": spz4[:-1], "head4.spz": spz4[:20], "table4.spz": spz4[:60], "zeros4.spz": spz4[:112] + bytes(5000),
+        "sizes4.spz": spz4[:40] + struct.pack("<Q", 1 << 40) + spz4[48:], "few4.spz": spz4[:15] + b"\4" + spz4[16:],
+        "huge4.spz": spz4[:8] + b"\xff" * 4 + spz4[12:], "far4.spz": spz4[:16] + b"\xff" * 4 + spz4[20:],
         "cut.spz": spz[: len(spz) // 2], "none.spz": b"", "huge.spz": gzip.compress(head), "plain.spz": head,
         "none.ply": ply.replace(b"vertex 400", b"vertex 0").partition(b"end_header\n")[0] + b"end_header\n",
     }  # fmt: skip
@@ -155,6 +158,18 @@ def test_a_bomb_of_zeros_is_not_unpacked(tmp_path: Path) -> None:
     with memory() as taken:
         import_files(tmp_path / "bomb.spz", tmp_path / "a.slod")
     assert taken.peak_bytes < 20 << 20
+
+
+def test_extensions_and_spherical_harmonics_of_spz_4_are_passed_over(tmp_path: Path) -> None:
+    zstandard = pytest.importorskip("zstandard", reason="SPZ 4 needs streamlod[interchange]")
+    data = FORMATS["spz4"].encode(_cloud(), "")
+    head, table, streams = bytearray(data[:32]), data[32:112], data[112:]
+    head[12], head[14], head[15] = 1, 2, 6  # degree, flag of extensions, streams
+    struct.pack_into("<I", head, 16, 32 + 12)
+    bands = zstandard.ZstdCompressor().compress(bytes(400 * 9))
+    (tmp_path / "a.spz").write_bytes(head + bytes(12) + table + struct.pack("<QQ", len(bands), 3600) + streams + bands)
+    import_files(tmp_path / "a.spz", tmp_path / "a.slod")
+    _assert_shows(decode_version(tmp_path / "a.slod", 0), _cloud(), 0.04)
 
 
 def test_numbers_that_are_none_and_strays_far_away_spoil_nothing(tmp_path: Path) -> None:
