@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from streamlod.core.arrays import Bool, Float64
-from streamlod.core.calibration.checks.finding import RigFinding, fact, weak
+from streamlod.core.calibration.checks.finding import RigFinding, fact, fault, weak
 from streamlod.core.camera import Camera
 
 _STEPS = 21  # along each axis of the space looked at
 _WIDE = 35.0  # degrees between neighbouring cameras, from which pictures between them blur
 _LITTLE = 0.5  # part of the space
+_ONE_PLACE = 1e-4  # of the radius looked at: nearer cameras have no picture of their own
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +58,9 @@ def coverage_of(cameras: Sequence[Camera]) -> Coverage:
 
 def judged(coverage: Coverage, cameras: Sequence[Camera]) -> Iterator[RigFinding]:
     """Findings about what is seen, and where a camera would help most."""
+    for _, a, b in coverage.gaps:
+        if np.linalg.norm(cameras[a].centre - cameras[b].centre) <= _ONE_PLACE * coverage.radius:
+            yield fault(f"{cameras[a].name} and {cameras[b].name} stand at one place by their poses: calibrate again")
     two, three, four = (f"{100 * share:.0f} %" for share in coverage.shares)
     yield fact(f"of the space looked at, two cameras or more see {two}, three {three}, four {four}")
     if coverage.shares[0] < _LITTLE:

@@ -100,6 +100,17 @@ def test_a_camera_without_pictures_is_named(filmed: Filmed) -> None:
     assert cameras[5].name in check.table
 
 
+def test_cameras_with_the_pose_of_another_are_named(filmed: Filmed) -> None:
+    cameras, frames = filmed
+    copied = [replace(camera, world_to_camera=cameras[0].world_to_camera) for camera in cameras]
+    wanted = {
+        f"{cameras[0].name} and {camera.name} stand at one place by their poses: calibrate again"
+        for camera in cameras[1:]
+    }
+    assert wanted <= set(faults(examine(copied, frames)))
+    assert not any("at one place" in sentence for sentence in faults(examine(cameras, frames)))
+
+
 def test_few_cameras_far_apart_are_told_where_another_helps(filmed: Filmed) -> None:
     cameras, frames = filmed
     eyes = [np.array([4 * np.cos(angle), 4 * np.sin(angle), 0]) for angle in (0.0, 0.3, 1.9)]
