@@ -9,7 +9,6 @@ import logging
 import secrets
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
@@ -72,6 +71,7 @@ class WorkerStream(Stream):
         self._epoch = recording.last_epoch if recording else 0
         self._new_epoch = True
         self._placed = asyncio.Event()  # or given up
+        self._askers = 0  # calls that wait to be told whether there is room for it
         self._restoring = asyncio.Lock()  # held while the recording's last state is loaded
         self._refused: Shortage | None = None
         self._supervisor = self._make_supervisor()
@@ -140,9 +140,14 @@ class WorkerStream(Stream):
         Returns why there is no room, for somebody who may see such streams, and then it has failed; otherwise nothing.
         """
         if self.is_running and self._in_cluster:
-            with suppress(TimeoutError):
+            self._askers += 1
+            try:
                 async with asyncio.timeout(_PLACING_SECONDS):
                     await self._placed.wait()
+            except TimeoutError:
+                pass
+            finally:
+                self._askers -= 1
         return f"stream {self.id}: {self._refused.sentence(may_see)}" if self._refused else ""
 
     @property
@@ -283,6 +288,11 @@ class WorkerStream(Stream):
             _LOG.info("stream %s: its worker runs on node %s", self.id, self.worker_node)
         elif tag is Tag.EPOCH:
             self._new_epoch, self._frames_done = True, 0
+
+    @property
+    def waits_for_room(self) -> bool:
+        """See `supervisor.Owner`. Who starts it by hand is told at once; what starts with the server waits."""
+        return not self._askers
 
     async def resume_point(self) -> Resume:
         """See `supervisor.Owner`."""

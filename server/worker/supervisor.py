@@ -23,6 +23,7 @@ from streamlod.server.worker.process import Resume, Tag, resident_bytes, run_wor
 
 _LOG = logging.getLogger(__name__)
 _WATCH_SECONDS = 0.25
+_MAX_DOUBLINGS = 20  # of the delay between two attempts
 _SPARE_AFTER_SECONDS = 3.0  # of progress first, because a starting worker needs the whole processor
 
 
@@ -57,6 +58,10 @@ class Owner(Protocol):
 
     async def on_message(self, tag: Tag, body: bytes) -> None:
         """Handle one message; the worker waits until this returns."""
+
+    @property
+    def waits_for_room(self) -> bool:
+        """Whether a worker for which a cluster has no room is tried again, however often, as nodes may come."""
 
     async def resume_point(self) -> Resume:
         """Where the next worker continues."""
@@ -119,10 +124,11 @@ class Supervisor:
                     _LOG.exception("stream %s: its worker could not be run", self._spec.id)
                     ending = Ending(f"the worker could not be run ({error})")
                 failures = 1 if self._progressed > begun else failures + 1
-                if ending.done or ending.fatal or failures > self._settings.attempts:
+                patient = ending.refused is not None and self._owner.waits_for_room
+                if ending.done or ((ending.fatal or failures > self._settings.attempts) and not patient):
                     self._owner.on_finish(ending)
                     return
-                delay = self._settings.first_delay_seconds * 2.0 ** (failures - 1)
+                delay = self._settings.first_delay_seconds * 2.0 ** min(failures - 1, _MAX_DOUBLINGS)
                 delay = min(delay, self._settings.longest_delay_seconds)
                 self.restarts += 1
                 self._owner.on_restart(ending, delay)

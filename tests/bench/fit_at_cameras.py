@@ -20,13 +20,14 @@ from pathlib import Path
 
 import numpy as np
 
-from streamlod.client.evaluation.measure.places import BESIDE, places, places_table, views_beside
+from streamlod.client.evaluation.measure.places import BESIDE, places, places_table
 from streamlod.client.evaluation.measure.scores import Perception, draw, score_picture
 from streamlod.client.evaluation.report.output import result_folder, side_by_side
 from streamlod.client.recorder import write_png
 from streamlod.codec.encoder import encode_keyframe
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera import Camera, look_at, pinhole
+from streamlod.core.camera.beside import views_beside
 from streamlod.core.camera.space import UNCHANGED, Similarity
 from streamlod.core.data import linspace_split, open_dataset
 from streamlod.core.frames import FrameSet, PointCloud

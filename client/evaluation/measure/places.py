@@ -7,15 +7,14 @@ camera stood sees what that camera filmed, nor what a step to the side costs.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from streamlod.client.evaluation.measure.scores import Perception, PictureScore, mean_score, score_picture
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera import Camera
+from streamlod.core.camera.beside import views_beside
 from streamlod.core.camera.space import UNCHANGED, Similarity
 from streamlod.core.synthetic import SyntheticSpec, render_view
 
@@ -94,30 +93,6 @@ def places_table(found: dict[str, Any]) -> str:
         f"  {place:40s}{score['psnr']:.2f} dB, exposure fitted {score['psnr_fitted']:.2f} dB, SSIM {score['ssim']:.4f}"
         for place, score in rows
     )
-
-
-def views_beside(cameras: Sequence[Camera], share: float) -> list[Camera]:
-    """A view from each camera `share` of the way to its nearest neighbour; each pair's middle only once."""
-    views, pairs = list[Camera](), set[frozenset[int]]()
-    for number, camera in enumerate(cameras):
-        distances = [float(np.linalg.norm(camera.centre - other.centre)) for other in cameras]
-        distances[number] = np.inf
-        nearest = int(np.argmin(distances))
-        pair = frozenset((number, nearest))
-        if share != 0.5 or pair not in pairs:
-            views.append(between(camera, cameras[nearest], share))
-        pairs.add(pair)
-    return views
-
-
-def between(camera: Camera, other: Camera, share: float) -> Camera:
-    """A view on the straight way from `camera` to `other`, turned as far, in pictures of the size of `camera`'s."""
-    rotations = np.stack([each.world_to_camera[:3, :3] for each in (camera, other)])
-    turned = Slerp([0.0, 1.0], Rotation.from_matrix(rotations))([share]).as_matrix()[0]
-    pose = np.eye(4)
-    pose[:3, :3] = turned
-    pose[:3, 3] = -turned @ ((1 - share) * camera.centre + share * other.centre)
-    return replace(camera, name=f"{camera.name} {share:g} {other.name}", world_to_camera=pose)
 
 
 def _names(found: Sequence[dict[str, Any]]) -> list[str]:
