@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -46,23 +47,28 @@ def write_sounding(
     channels: int = 1,
     begin: float = 0.0,
     without: tuple[float, float] = (0.0, 0.0),
-    pictures: bool = True,
+    pictures: Sequence[NDArray[np.uint8]] | bool = True,
+    fps: int = 25,
 ) -> None:
     """A file whose picture flashes white and whose sound clicks at each whole second of its own time.
 
     Args:
+        pictures: [H,W,3] RGB, to be seen in place of the flashing ones, `fps` a second; False for none.
         begin: when its sound begins.
         without: from when to when there is no sound at all, as if packets had been lost.
     """
     layout: Any = "mono" if channels == 1 else "stereo"
     with av.open(str(path), "w") as container:
-        video = container.add_stream("libx264", rate=25, options={"tune": "zerolatency"}) if pictures else None
+        if pictures is True:
+            pictures = [np.full((64, 96, 3), 20 if at % fps else 255, np.uint8) for at in range(round(seconds * fps))]
+        video = container.add_stream("libx264", rate=fps, options={"tune": "zerolatency"}) if pictures else None
         audio = container.add_stream(codec, rate=rate)
         audio.layout = layout
-        if video is not None:
-            video.width, video.height, video.pix_fmt = 96, 64, "yuv420p"
-            for number in range(round(seconds * 25)):
-                picture = av.VideoFrame.from_ndarray(np.full((64, 96, 3), 255 if number % 25 == 0 else 20, np.uint8))
+        if video is not None and pictures:
+            video.height, video.width = pictures[0].shape[:2]
+            video.pix_fmt = "yuv420p"
+            for number, image in enumerate(pictures):
+                picture = av.VideoFrame.from_ndarray(image)
                 picture.pts = number
                 container.mux(video.encode(picture))
             container.mux(video.encode(None))
