@@ -19,7 +19,9 @@ _MAX_LOG = 20.0  # of scales, and of opacities
 
 
 def decode_ply(path: Path) -> GaussianCloud:
-    """The Gaussians of a file; colour of the view's direction is dropped, as are rows that hold no finite number.
+    """The Gaussians of a file; colour of the view's direction is dropped, as are rows with a number that is not finite.
+
+    Sizes of nothing and opacities of 0 and 1 have infinite logarithms, and are kept.
 
     Raises:
         InputError: the file cannot be read, is damaged, or is one of points or of another layout.
@@ -30,13 +32,14 @@ def decode_ply(path: Path) -> GaussianCloud:
         raise InputError(path, f"is no PLY of Gaussians: its vertices lack {', '.join(missing)}")
     with np.errstate(over="ignore"):
         columns = np.stack([table[name].astype(np.float32) for name in _NAMES], axis=1)
+    columns[:, 7:11] = np.clip(columns[:, 7:11], -_MAX_LOG, _MAX_LOG)
     columns = columns[np.isfinite(columns).all(axis=1)]
     means, quaternions, scales, opacity, colours = np.split(columns, [3, 7, 10, 11], axis=1)
     parts = (
         means,
         quaternions,
-        np.exp(np.clip(scales, -_MAX_LOG, _MAX_LOG)),
-        1 / (1 + np.exp(-np.clip(opacity[:, 0], -_MAX_LOG, _MAX_LOG))),
+        np.exp(scales),
+        1 / (1 + np.exp(-opacity[:, 0])),
         np.clip(0.5 + SH_C0 * colours, 0, 1),
     )
     return GaussianCloud(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))

@@ -113,9 +113,11 @@ def _files(source: Path) -> list[Path]:
     """The file, or those of the folder in natural order."""
     if source.is_file() and format_of(source) is not None:
         return [source]
-    known = ", ".join(each.suffix for each in FORMATS.values() if each.decode is not None)
+    suffixes = [each.suffix for each in FORMATS.values() if each.decode is not None]
+    known = ", ".join(dict.fromkeys((*suffixes, CLIP_SUFFIXES["4dgs"])))
     if not source.is_dir():
-        raise InputError(source, f"is no file of Gaussians ({known}) and no folder of them")
+        other = "of other programs' files, splat-transform (npm) makes a .ply"
+        raise InputError(source, f"is no file of Gaussians ({known}) and no folder of them; {other}")
     files = sorted((path for path in source.iterdir() if _is_frame(path)), key=_natural)
     if not files:
         raise InputError(source, f"holds no file of Gaussians ({known})")

@@ -1,4 +1,4 @@
-"""Points from a file: ``.ply`` (ascii or binary little-endian) or ``.npz``. Files are hostile until shown otherwise."""
+"""Points from a file: ``.ply`` (ascii or binary) or ``.npz``. Files are hostile until shown otherwise."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ SUFFIXES = (".ply", ".npz")
 MAX_POINTS = 20_000_000
 _MAX_HEADER_BYTES = 1 << 16
 _MAX_PROPERTIES = 256
+_ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 _SCALARS = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "<i2", "int16": "<i2", "ushort": "<u2",
     "uint16": "<u2", "int": "<i4", "int32": "<i4", "uint": "<u4", "uint32": "<u4", "float": "<f4", "float32": "<f4",
@@ -98,30 +99,32 @@ def _ply_header(path: Path, file: BinaryIO) -> _Header:
         line = file.readline(_MAX_HEADER_BYTES)
         if not line.endswith(b"\n") or file.tell() > _MAX_HEADER_BYTES:
             raise InputError(path, "is not a PLY file, or its header is cut off or too long")
-        try:
-            lines.append(line.decode("ascii").split())
-        except UnicodeDecodeError as error:
-            raise InputError(path, "is not a PLY file: its header is not plain text") from error
+        lines.append(line.decode("latin-1").split())  # comments may be in any language
         if len(lines) == 1 and lines[0] != ["ply"]:
             raise InputError(path, "is not a PLY file")
     lines = [words for words in lines[1:-1] if words and words[0] not in ("comment", "obj_info")]
-    if not lines or lines[0] not in (["format", "ascii", "1.0"], ["format", "binary_little_endian", "1.0"]):
-        raise InputError(path, "is a PLY of another format than ascii or binary little-endian 1.0")
+    order = _ORDERS.get(lines[0][1]) if lines and lines[0][::2] == ["format", "1.0"] else None
+    if order is None:
+        raise InputError(path, f"is a PLY of another format than {', '.join(_ORDERS)} 1.0")
     elements = [index for index, words in enumerate(lines) if words[0] == "element"]
+    if elements and lines[elements[0]][1:2] == ["chunk"]:
+        raise InputError(
+            path, "is a compressed PLY; `npx @playcanvas/splat-transform in.ply out.ply` makes a plain one"
+        )
     if not elements or lines[elements[0]][1:2] != ["vertex"] or len(lines[elements[0]]) != 3:
         raise InputError(path, "must begin with its vertices")
     end = elements[1] if len(elements) > 1 else len(lines)
-    properties = tuple(_property(path, words) for words in lines[elements[0] + 1 : end])
+    properties = tuple(_property(path, words, order) for words in lines[elements[0] + 1 : end])
     names = [name for name, _ in properties]
     if not 1 <= len(names) <= _MAX_PROPERTIES or len(set(names)) != len(names):
         raise InputError(path, "names no properties of its vertices, too many, or one twice")
     return _Header(lines[0][1] != "ascii", _count(path, lines[elements[0]][2]), properties, len(elements) > 1)
 
 
-def _property(path: Path, words: list[str]) -> tuple[str, str]:
+def _property(path: Path, words: list[str], order: str) -> tuple[str, str]:
     if len(words) != 3 or words[0] != "property" or words[1] not in _SCALARS:
         raise InputError(path, f"has a line in its header that is not a scalar property: {' '.join(words)[:60]!r}")
-    return words[2], _SCALARS[words[1]]
+    return words[2], _SCALARS[words[1]].replace("<", order)
 
 
 def _count(path: Path, word: str) -> int:

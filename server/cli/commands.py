@@ -139,7 +139,8 @@ def playable(path: Path) -> Path:
         try:
             open_packets(path).close()
         except BitstreamError as error:
-            raise InputError(path, f"cannot be played: {error}") from error
+            known = ".slod, .mp4, .ply, .spz, .glb and .4dgs"
+            raise InputError(path, f"cannot be played: {error}; {known} can") from error
         return path
     newest = max(each.stat().st_mtime_ns for each in (path, *(path.iterdir() if path.is_dir() else ())))
     name = hashlib.blake2b(f"{path.resolve()} {newest}".encode(), digest_size=8).hexdigest()

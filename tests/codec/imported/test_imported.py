@@ -183,6 +183,22 @@ def test_numbers_that_are_none_and_strays_far_away_spoil_nothing(tmp_path: Path)
     assert cKDTree(cloud.means).query(shown.means)[0].max() < 1e-3
 
 
+def test_the_ends_of_logarithms_are_kept(tmp_path: Path) -> None:
+    """Opacities of 0 and 1, and flat Gaussians; a comment in another language does no harm."""
+    cloud = _cloud()
+    data = FORMATS["ply"].encode(cloud, "a test").replace(b"comment a test", "comment gefüllt".encode())
+    head, _, body = data.partition(b"end_header\n")
+    rows = np.frombuffer(body, "<f4").reshape(400, 17).copy()
+    rows[:2, 9], rows[2, 12] = (np.inf, -np.inf), -np.inf
+    (tmp_path / "a.ply").write_bytes(head + b"end_header\n" + rows.tobytes())
+    import_files(tmp_path / "a.ply", tmp_path / "a.slod")
+    shown = expand(decode_version(tmp_path / "a.slod", 0), FAR)
+    distance, row = cKDTree(shown.means).query(cloud.means[:3])
+    assert (distance[[0, 2]] < 1e-3).all()
+    assert shown.opacities[row[0]] > 0.99
+    assert shown.scales[row[2], 2] < 1e-7
+
+
 def test_a_file_that_is_served_is_made_once_and_again_when_it_changed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

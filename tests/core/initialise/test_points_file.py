@@ -25,8 +25,8 @@ def ply(kind: str, body: bytes, count: int = 3, properties: str = PROPERTIES, af
     return head.encode() + body
 
 
-def binary_body() -> bytes:
-    table = np.zeros(3, VERTEX)
+def binary_body(order: str = "<") -> bytes:
+    table = np.zeros(3, VERTEX.newbyteorder(order))
     for axis, name in enumerate("xyz"):
         table[name] = POSITIONS[:, axis]
     for channel, name in enumerate(("red", "green", "blue")):
@@ -39,7 +39,10 @@ ASCII = b"".join(
 )
 
 
-@pytest.mark.parametrize(("kind", "body"), [("ascii", ASCII), ("binary_little_endian", binary_body())])
+@pytest.mark.parametrize(
+    ("kind", "body"),
+    [("ascii", ASCII), ("binary_little_endian", binary_body()), ("binary_big_endian", binary_body(">"))],
+)
 def test_ply_is_read(tmp_path: Path, kind: str, body: bytes) -> None:
     path = tmp_path / "points.ply"
     path.write_bytes(ply(kind, body))
@@ -83,7 +86,8 @@ def test_points_without_colour_are_grey(tmp_path: Path) -> None:
         (b"", "not a PLY"),
         (b"plyx\n", "not a PLY"),
         (b"ply\n" + b"comment \n" * 10_000, "too long"),
-        (ply("binary_big_endian", b""), "another format"),
+        (ply("binary_middle_endian", b""), "another format"),
+        (ply("ascii", b"").replace(b"vertex", b"chunk"), "compressed PLY"),
         (ply("binary_little_endian", binary_body()[:-1]), "cut off"),
         (ply("binary_little_endian", binary_body() + b"!"), "too many"),
         (ply("binary_little_endian", b"", 10**11), "at most"),
