@@ -17,6 +17,7 @@ import av.video.stream
 
 _SECOND_NS = 1_000_000_000
 _IN_ORDER = "avi"  # has a time for each sample in their order, and none for the pictures
+_CHUNK_HEAD = 8  # bytes of an AVI's chunk before its sample
 _UNTIMED = {"h264", "hevc", "vvc", "m4v", "mpegvideo", "mjpeg", "mpjpeg", "obu"}  # FFmpeg supposes a rate for these
 OWN_CLOCK = {"mpegts", "mpeg"}  # formats whose time does not begin at 0
 
@@ -53,6 +54,7 @@ class PictureTimes:
         self._base: Fraction = stream.time_base or Fraction(1, _SECOND_NS)
         self._rate, self._count = rate, 0
         self._waiting: deque[int] = deque()
+        self._index, self._row = stream.index_entries, 0
         self._first_ns: int | None = None  # of the first keyframe
         self._key_ns: int | None = None  # of the keyframe with which the decoder began
         self._origin_ns: int | None = None
@@ -73,8 +75,8 @@ class PictureTimes:
             return None
         if not self.counted:
             time_ns = None if packet.pts is None else _nanoseconds(packet.pts, self._base) - self._origin_ns
-        elif self._format == _IN_ORDER and packet.dts is not None:
-            time_ns = _nanoseconds(packet.dts, self._base)
+        elif self._format == _IN_ORDER and (order := self._order_of(packet)) is not None:
+            time_ns = _nanoseconds(order, self._base)
         else:
             time_ns = round(number * _SECOND_NS / self._rate)
         if time_ns is None:
@@ -85,6 +87,14 @@ class PictureTimes:
         if self.counted and self.decodable:
             self._waiting.append(time_ns)
         return None if packet.is_discard or time_ns < self._first_ns else time_ns
+
+    def _order_of(self, packet: av.Packet[Any]) -> int | None:
+        """The number of an AVI's sample by the file's index, as FFmpeg's own count misses those that it cannot read."""
+        wanted = -1 if packet.pos is None else packet.pos - _CHUNK_HEAD
+        while self._row < len(self._index) and self._index[self._row].pos < wanted:
+            self._row += 1
+        known = self._row < len(self._index) and self._index[self._row].pos == wanted
+        return self._index[self._row].timestamp if known else packet.dts
 
     def lose(self) -> None:
         """The decoder begins anew: nothing can be shown until the next keyframe."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from streamlod.core.arrays import UInt8
-from streamlod.core.data.video import read_video
+from streamlod.core.data.video import probe_video, read_video
 from tests.core.data.writers import copy_video, write_video
 
 H264 = "threads=1:scenecut=0:keyint=12:min-keyint=12"
@@ -138,3 +138,20 @@ def test_packets_that_a_transport_stream_lost_are_damage(tmp_path: Path, lost: i
     shown = _shown(path)
     assert _differing(shown, clean) == []
     assert {*range(14), *range(24, 36)} <= set(shown)
+
+
+def test_a_sample_of_an_avi_that_cannot_be_found_shifts_no_other(tmp_path: Path) -> None:
+    """Its four letters are damaged, so that FFmpeg looks for the next sample and does not count this one."""
+    codec, suffix, options = KINDS["h264 in avi"]
+    path = tmp_path / f"cam{suffix}"
+    write_video(path, _scene(36), codec=codec, options=options)
+    clean = _shown(path)
+    with av.open(str(path)) as container:
+        at = [packet.pos for packet in container.demux(video=0) if packet.size > 0][15] - 8
+    data = path.read_bytes()
+    assert data[at : at + 4] == b"00dc"
+    path.write_bytes(data[:at] + b"\xff\xfe\xfd\xfc" + data[at + 4 :])
+    shown = _shown(path)
+    assert {*range(24, 36)} <= set(shown)
+    assert all(np.array_equal(shown[number], clean[number]) for number in range(24, 36))
+    assert [round(time_ns * 30 / 1e9) for time_ns in probe_video(path).times_ns] == [t for t in range(36) if t != 15]
