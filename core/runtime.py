@@ -6,6 +6,7 @@ the import of `core`, which every entry point makes first. A setting that is alr
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import logging
 import os
@@ -43,10 +44,24 @@ def prepare_environment() -> None:
         _LOG.warning("compiled kernels cannot be kept (%s), so every start compiles them anew, which takes minutes; "
                      "name another folder in XDG_CACHE_HOME", fault)  # fmt: skip
         _compile_without_cache()
+    if not _has_openmp():
+        _LOG.warning("GNU's OpenMP is missing, so that nothing can be trained or drawn here; install it: "
+                     "apt-get install libgomp1, or dnf install libgomp")  # fmt: skip
     numba = sys.modules.get("numba")
     if numba is not None:  # someone else loaded it first and it has read its settings, but not used these yet
         numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
         numba.config.THREADING_LAYER = os.environ["NUMBA_THREADING_LAYER"]
+
+
+def _has_openmp() -> bool:
+    """Whether numba finds GNU's OpenMP, which it takes from the system alone; elsewhere its wheels bring another one."""
+    if sys.platform != "linux":
+        return True
+    try:
+        ctypes.CDLL("libgomp.so.1.0.0")
+    except OSError:
+        return False
+    return True
 
 
 def cache_fault(folder: Path) -> str:
