@@ -22,6 +22,7 @@ _MAX_RATE = 32.0  # pictures a second that are searched: a person with a board i
 _MAX_PICTURES = 5400  # of a camera: three minutes
 _SAMPLES = 16
 _FEW = 3  # pictures with the board below which the reason is looked for
+_RARELY = 0.3  # part of the pictures with the board below which they may be mirrored, of which some are misread
 _DOUBLED = 0.1  # part of the pictures in which a marker may be seen twice, by a mirror or a misreading
 
 
@@ -75,9 +76,11 @@ def track_of(footage: WalkFootage, board: Board, on_picture: Callable[[], object
     _check_one_board(footage.camera, board, len(rows), doubled, foreign)
     shape = len(rows), board.corner_count, 2
     track = Track(footage.camera, footage.size, footage.times[rows], np.reshape(corners, shape).astype(np.float64))
-    if (track.seen >= MIN_CORNERS).sum() < _FEW:
-        sample = _Sample(footage.camera, tuple(_sampled(footage)))
-        raise InputError(f"camera {footage.camera}", _why_unseen([sample], board))
+    seen = track.seen >= MIN_CORNERS
+    if seen.sum() < max(_FEW, _RARELY * len(rows)):
+        sample = [_Sample(footage.camera, tuple(_sampled(footage)))]
+        if seen.sum() < _FEW or _corners(sample, board, mirrored=True) > _corners(sample, board):
+            raise InputError(f"camera {footage.camera}", _why_unseen(sample, board))
     return track
 
 
