@@ -14,6 +14,7 @@ from streamlod.core.errors import InputError
 
 _FAR = 6.0  # pixels, of a corner that is not where the other cameras say
 _MOST_FAR = 0.3  # part of a camera's corners
+_MOVED, _MOST_OFF = 6, 0.75  # instants at an end of what a camera saw, and part of them whose corners are far
 _MAX_DEGREES, _MAX_PART = 3.0, 0.05  # standard errors: of the direction, and of the place as a part of the distance
 _MAX_RMS = 3.0  # pixels
 
@@ -24,8 +25,9 @@ def near_enough(misses: Float64, spread: float) -> Bool:
 
 
 def check_agreement(names: Sequence[str], seen: Observations, misses: Float64) -> None:
-    """Raise InputError for the camera whose corners lie elsewhere than the others say, if there is one."""
-    far = np.linalg.norm(misses, axis=1) > _FAR
+    """Raise InputError for a camera whose corners lie elsewhere than the others say, all along or from some time on."""
+    distances = np.linalg.norm(misses, axis=1)
+    far = distances > _FAR
     parts = np.bincount(seen.camera, far, len(names)) / np.maximum(np.bincount(seen.camera, minlength=len(names)), 1)
     worst = int(parts.argmax())
     if parts[worst] > _MOST_FAR:
@@ -34,6 +36,25 @@ def check_agreement(names: Sequence[str], seen: Observations, misses: Float64) -
             f"does not agree with the others: {100 * parts[worst]:.0f} % of its corners lie more than {_FAR:g} pixels "
             "off; it moved, its video is of another walk, there are two boards, or its times are wrong",
         )
+    ends: list[tuple[int, int, str]] = []
+    for number in range(len(names)):
+        mine = seen.camera == number
+        instants = seen.instant[mine]
+        off = np.array([np.median(distances[mine][instants == each]) > _FAR for each in np.unique(instants)])
+        ends += [(_most_of(run), number, where) for where, run in (("last", off[::-1]), ("first", off))]
+    count, number, where = max(ends)
+    if count >= _MOVED:
+        raise InputError(
+            f"camera {names[number]}",
+            f"does not agree with the others at the {where} {count} instants at which it saw the board; it was knocked "
+            "or turned during the walk: film the walk again and leave the cameras alone",
+        )
+
+
+def _most_of(off: Bool) -> int:
+    """How many of the first instants of `off` [N] one can take so that most of them are off."""
+    parts = np.cumsum(off) / np.arange(1, len(off) + 1)
+    return int(np.flatnonzero(parts >= _MOST_OFF)[-1]) + 1 if (parts >= _MOST_OFF).any() else 0
 
 
 def check_certainty(names: Sequence[str], adjusted: Adjusted, seen: Observations) -> None:

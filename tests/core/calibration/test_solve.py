@@ -104,6 +104,24 @@ def test_a_camera_that_saw_the_board_too_rarely_is_named() -> None:
         calibrate([*tracks[:2], half(tracks[2], 0.5, 0.53), tracks[3]], BOARD)
 
 
+@pytest.mark.parametrize("when", ["last", "first"])
+def test_a_camera_that_was_knocked_during_the_walk_is_named(when: str) -> None:
+    """By four degrees, for so short a time that what it saw then would pass for a few outliers."""
+    truth, seconds = rig(), 24.0
+    turned = truth.poses.copy()
+    turned[2] = rigid.after(np.array([0, np.radians(4), 0, 0, 0, 0]), truth.poses[2:3])[0]
+
+    def boards(times: Float64) -> Float64:
+        return board_at(times if when == "last" else seconds - times)
+
+    still = walked(truth, fps=FPS, seconds=seconds, boards=boards)
+    moved = walked(replace(truth, poses=turned), fps=FPS, seconds=seconds, boards=boards)[2]
+    knocked = moved.times > 0.85 * seconds if when == "last" else moved.times < 0.15 * seconds
+    still[2] = replace(moved, corners=np.where(knocked[:, None, None], moved.corners, still[2].corners))
+    with pytest.raises(InputError, match=f"camera cam_2: does not agree with the others at the {when} [0-9]+ instants"):
+        calibrate(still, BOARD, known_lenses(truth))
+
+
 @pytest.mark.long
 def test_a_video_of_another_walk_is_named() -> None:
     truth = rig()
