@@ -75,7 +75,7 @@ def _cloud(body: UInt8, count: int, version: int, bits: int) -> GaussianCloud:
     triples = places.reshape(count, 3, 3).astype(np.int32)
     fixed = triples[..., 0] | triples[..., 1] << 8 | triples[..., 2] << 16
     means = (fixed - ((fixed & 0x800000) << 1)).astype(np.float64) / 2.0**bits
-    quaternions = (_plain if version == 2 else _packed)(rotations.reshape(count, -1))
+    quaternions = (_plain if version == 2 else _packed)(rotations.reshape(count, _COLUMNS[version][-1]))
     colour = (colours.reshape(count, 3) / 255.0 - 0.5) / 0.15 * SH_C0 + 0.5
     parts = (
         means * _AXES,

@@ -140,6 +140,7 @@ def test_files_that_are_damaged_or_something_else_are_refused_by_name(tmp_path: 
         "cut4.spz": spz4[:-1], "head4.spz": spz4[:20], "table4.spz": spz4[:60], "zeros4.spz": spz4[:112] + bytes(5000),
         "sizes4.spz": spz4[:40] + struct.pack("<Q", 1 << 40) + spz4[48:], "few4.spz": spz4[:15] + b"\4" + spz4[16:],
         "huge4.spz": spz4[:8] + b"\xff" * 4 + spz4[12:], "far4.spz": spz4[:16] + b"\xff" * 4 + spz4[20:],
+        "none3.spz": gzip.compress(head[:8] + bytes(8)), "none4.spz": FORMATS["spz4"].encode(_cloud(count=0), ""),
         "cut.spz": spz[: len(spz) // 2], "none.spz": b"", "huge.spz": gzip.compress(head), "plain.spz": head,
         "none.ply": ply.replace(b"vertex 400", b"vertex 0").partition(b"end_header\n")[0] + b"end_header\n",
     }  # fmt: skip
