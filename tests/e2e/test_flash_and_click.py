@@ -39,7 +39,7 @@ def test_a_flash_is_drawn_when_its_click_is_heard(tmp_path: Path) -> None:
 
     command = [sys.executable, "-m", "streamlod.server.cli", "train", clip, "--out", out, "--test", "cam00"]
     command += ["--points", tmp_path / "points.npz", "--preset", "live"]
-    subprocess.run([*command, *(part for each in FEW_STEPS for part in ("--set", each))], check=True, timeout=300)
+    subprocess.run([*command, *(part for each in FEW_STEPS for part in ("--set", each))], check=True, timeout=500)
 
     splatter, brightness = Splatter(), {}
     for frame in open_recording(out).frames():
