@@ -124,6 +124,8 @@ def test_a_worker_that_hangs_or_takes_too_much_memory_is_replaced(clip: Clip) ->
 class Reports:
     """Owns a supervisor and keeps what it hears."""
 
+    waits_for_room = False
+
     def __init__(self) -> None:
         self.tags: list[Tag] = []
         self.endings: list[Ending] = []
