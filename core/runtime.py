@@ -54,7 +54,7 @@ def prepare_environment() -> None:
 
 
 def _has_openmp() -> bool:
-    """Whether numba finds GNU's OpenMP, which it takes from the system; on others its wheels bring one."""
+    """Whether numba finds GNU's OpenMP: on Linux it takes the system's; elsewhere its wheels bring one."""
     if sys.platform != "linux":
         return True
     try:

@@ -73,7 +73,7 @@ class MovingLink:
             seen = self.playback.position if joined.incarnation == self._incarnation else None
             left, self._link = self._link, joined.link
             self._closing.append(asyncio.create_task(left.close()))  # which may take half a second
-            if (there := self.playback.position) is not None and seen is not None and left_out(seen, there):
+            if (there := self.playback.position) is not None and seen is not None and _leaves_out(seen, there):
                 yield Notice("skipped", {"from": seen[1], "to": there[1], "reason": "moved"})
             async for event in self._told(joined.events):
                 here = self.playback.position
@@ -120,7 +120,7 @@ class MovingLink:
         return here >= there
 
 
-def left_out(seen: tuple[int, int], there: tuple[int, int]) -> bool:
+def _leaves_out(seen: tuple[int, int], there: tuple[int, int]) -> bool:
     """Whether versions of an epoch are missing between what was `seen` and where the next connection is `there`.
 
     They are where the old connection ended before it came that far.

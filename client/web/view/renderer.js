@@ -14,6 +14,7 @@ import { MAX_KEEP, MIN_KEEP, Surface } from "./surface.js";
 const TEXELS = RECORD / 4; // RGBA texels a splat
 const WIDTH = ROW_SPLATS * TEXELS;
 const ORDER_WIDTH = 1024; // texels of the texture with the order
+const MAX_FENCES = 3; // a headset's and a film's pictures are drawn without asking how many are on their way
 const RUN = 16_384; // quads that one drawElements draws: their vertices are numbered by 16 bits
 
 const VERTEX = `#version 300 es
@@ -247,7 +248,7 @@ export class Renderer extends Surface {
       gl.uniform1i(firstAt, first);
       gl.drawElements(gl.TRIANGLES, 6 * Math.min(RUN, this.count - first), gl.UNSIGNED_SHORT, 0);
     }
-    const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    const fence = this.waiting < MAX_FENCES ? gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0) : null;
     if (fence) this.fences.push(fence);
   }
 

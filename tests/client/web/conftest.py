@@ -147,8 +147,13 @@ def opened(browser: Any) -> Iterator[Any]:
     context = browser.new_context(viewport={"width": 320, "height": 240}, reduced_motion="reduce")
     page = context.new_page()
     page.complaints = Console(page)
-    # a hand that comes to press something wakes the controls first; Playwright's would find them hidden
-    page.add_locator_handler(page.locator("body.idle"), lambda: page.mouse.move(1, 1) or page.mouse.move(2, 2))
+
+    def wake() -> None:
+        """Move the mouse, as a hand does before it presses something; Playwright's would find the controls hidden."""
+        page.mouse.move(1, 1)
+        page.mouse.move(2, 2)
+
+    page.add_locator_handler(page.locator("body.idle"), wake)
     yield page
     context.close()
     assert page.complaints.lines == []

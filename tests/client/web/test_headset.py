@@ -42,6 +42,18 @@ navigator.xr.requestSession = async function (...all) {
   return session;
 };
 """
+COUNT_FENCES = """
+window.fences = 0;
+const { fenceSync, deleteSync } = WebGL2RenderingContext.prototype;
+WebGL2RenderingContext.prototype.fenceSync = function (...all) {
+  fences++;
+  return fenceSync.apply(this, all);
+};
+WebGL2RenderingContext.prototype.deleteSync = function (fence) {
+  fences--;
+  return deleteSync.call(this, fence);
+};
+"""
 LOOK = "new Promise((resolve) => (window.look = resolve))"
 
 
@@ -65,6 +77,25 @@ def pixels_of(eye: dict[str, Any]) -> np.ndarray:
     """[H,W,3] in [0, 1], upright."""
     rows = np.frombuffer(base64.b64decode(eye["pixels"]), np.uint8).reshape(eye["height"], eye["width"], 4)
     return rows[::-1, :, :3] / 255
+
+
+def test_fences_of_a_headsets_pictures_do_not_pile_up(page: Any, clip: Clip) -> None:
+    """Nobody asks how many of them are being drawn."""
+    if not IWER.exists():
+        pytest.skip("iwer is not installed: npm install --prefix tests/client/web")
+    page.add_init_script(path=IWER)
+    page.add_init_script(PUT_ON)
+    page.add_init_script(COUNT_FENCES)
+    with serving(create_app(clip, Behaviour(newest=4))) as url:
+        page.goto(f"{url}/?quality=high")
+        shows(page, "s.version === 4")
+        page.focus("#b-more")  # or it may hide
+        page.click("#b-more")
+        page.click("#b-vr")
+        page.wait_for_function("window.ticks > 20", **WAIT)
+        assert 0 < page.evaluate("fences") <= 3
+        page.evaluate("session.end()")
+        page.wait_for_function("document.getElementById('canvas').width === 320", **WAIT)
 
 
 def test_both_eyes_see_the_scene(page: Any, clip: Clip) -> None:
