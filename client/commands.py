@@ -192,20 +192,23 @@ def _export_packets(scene: Path, file_format: str, out: Path | None) -> str:
     return f"{out}: {count} groups of pictures{', with sound' if has_sound else ''}"
 
 
-def import_scene(source: str, out: Path | None, fps: float, gaussians: int) -> str:
+def import_scene(source: str, out: Path | None, fps: float, gaussians: int, up: str | None) -> str:
     """Write plain Gaussians, a file or a folder with one for each frame, or the packets of an MP4 file or a HLS
     playlist as a `.slod` file; says what was kept."""
     from streamlod.client.connection.hls import is_playlist, save_hls
     from streamlod.codec.imported import import_files
 
     if is_playlist(source):
+        if up is not None:
+            raise InputError(source, "is a playlist of packets, which are taken as they are; --up is for Gaussians")
         place = urlsplit(source)
         name = Path(f"{Path(place.path).stem}.slod")
         out = out or (name if place.scheme in ("http", "https") else Path(source).with_name(name.name))
         return save_hls(source, out, os.environ.get(TOKEN_VARIABLE))
     path = Path(source)
     with tqdm(unit="file", desc="import", delay=0.5) as bar:
-        return import_files(path, out or path.with_name(f"{path.stem}.slod"), fps, gaussians, lambda _: bar.update())
+        out = out or path.with_name(f"{path.stem}.slod")
+        return import_files(path, out, fps, gaussians, up, lambda _: bar.update())
 
 
 def _existing(scene: Path, frame: int) -> int:

@@ -20,12 +20,14 @@ class SnapshotFormat:
         encode: the bytes of a cloud, with a comment of one line where the format has room for it.
         decode: the cloud of a file; None where only writing is known. Both raise: ValueError on what the format cannot
             hold, InputError on a file that cannot be read.
+        up: the axis of a file that `decode` makes the scene's up.
     """
 
     name: str
     suffix: str
     encode: Callable[[GaussianCloud, str], bytes]
     decode: Callable[[Path], GaussianCloud] | None
+    up: str
 
 
 def _encode_ply(cloud: GaussianCloud, comment: str) -> bytes:
@@ -73,14 +75,15 @@ def _decode_glb(path: Path) -> GaussianCloud:
 FORMATS = {
     each.name: each
     for each in (
-        SnapshotFormat("ply", ".ply", _encode_ply, _decode_ply),
-        SnapshotFormat("spz", ".spz", _encode_spz, _decode_spz),
-        SnapshotFormat("spz4", ".spz", _encode_spz4, _decode_spz),  # the suffix alone means version 3
-        SnapshotFormat("glb", ".glb", _encode_glb, _decode_glb),
+        SnapshotFormat("ply", ".ply", _encode_ply, _decode_ply, "-y"),
+        SnapshotFormat("spz", ".spz", _encode_spz, _decode_spz, "y"),
+        SnapshotFormat("spz4", ".spz", _encode_spz4, _decode_spz, "y"),  # the suffix alone means version 3
+        SnapshotFormat("glb", ".glb", _encode_glb, _decode_glb, "y"),
     )
 }
 
 
+AXES = ("y", "-y", "z", "-z", "x", "-x")  # any of which may point up in a file
 CLIP_SUFFIXES = {"4dgs": ".4dgs", "usd": ".usdc"}  # of files that hold a whole clip, by format
 PACKET_SUFFIXES = {"mp4": ".mp4", "hls": ""}  # of files, or a folder, that carry the packets themselves
 

@@ -5,6 +5,7 @@
 bake.py   anchors to Gaussians, with colours seen from a camera or averaged over the rig
 ply.py    the layout of the original 3D Gaussian splatting code
 spz.py    the compressed format SPZ, version 3
+upright.py   Gaussians whose files have another axis up
 """
 
 from streamlod.codec.export.bake import bake

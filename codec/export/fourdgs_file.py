@@ -17,6 +17,7 @@ import numpy as np
 
 from streamlod.codec.export.bake import baked_rows
 from streamlod.codec.export.ply import unit_quaternions
+from streamlod.codec.export.upright import turned
 from streamlod.core.arrays import Float32, Float64, Int64
 from streamlod.core.errors import InputError
 from streamlod.core.scene.anchors import Scene
@@ -27,7 +28,7 @@ MAX_BYTES = 1 << 30  # of a file that is read
 _SYSTEM, _COLOURS = "y-up-right-handed", "srgb-rec709-display"  # of the files that are written
 _CUTOFF = 0.05  # the format's own; nothing here fades
 _AXES = np.array([1, -1, -1], np.float32)
-_HALF_TURN = {"y-up-right-handed": True, "": False}  # by the file's coordinate system; "" is one that says none
+_UP = {"y-up-right-handed": "y", "": "-y"}  # by the file's coordinate system; "" is one that says none
 _Span = tuple[GaussianCloud, float, float]  # Gaussians, and the seconds from which to which they are shown
 
 
@@ -169,8 +170,11 @@ def _shown(scene: Scene, number: int, rows: Int64, begins: Float64, end: float, 
             yield cloud, float(begin), end
 
 
-def read_clip(path: Path, fps: float) -> Iterator[GaussianCloud]:
+def read_clip(path: Path, fps: float, up: str | None = None) -> Iterator[GaussianCloud]:
     """The clip's Gaussians `fps` times a second; all of them each time, those that are not shown with opacity 0.
+
+    Args:
+        up: the axis of the file that points up, whatever it says itself.
 
     Raises:
         InputError: the file cannot be read, is damaged, too large, or has axes that are not known here.
@@ -185,9 +189,9 @@ def read_clip(path: Path, fps: float) -> Iterator[GaussianCloud]:
     except (fourdgs.FourdgsError, ValueError) as error:
         raise InputError(path, f"is no .4dgs file that can be read: {error}") from error
     system = clip.header.attributes.get("coordinate_system", "")
-    if system not in _HALF_TURN:
-        raise InputError(path, f"has the axes {system[:40]!r}; known are {', '.join(filter(None, _HALF_TURN))}")
-    axes = _AXES if _HALF_TURN[system] else np.ones(3, np.float32)
+    up = up or _UP.get(system)
+    if up is None:
+        raise InputError(path, f"has the axes {system[:40]!r}, not known here; say with --up which of them points up")
     every = clip.gaussians
     for number in range(max(1, round(clip.duration_sec * fps))):
         state = clip.state_at(number / fps)
@@ -195,7 +199,7 @@ def read_clip(path: Path, fps: float) -> Iterator[GaussianCloud]:
         opacities, shown = np.zeros(len(means), np.float32), state["indices"]
         means[shown], rotations[shown] = state["centers"], state["orientations"]
         opacities[shown] = state["opacity"]
-        yield _cloud_of(every, means, rotations, opacities, axes)
+        yield turned(_cloud_of(every, means, rotations, opacities, np.ones(3, np.float32)), "-y", up)
 
 
 def _xyzw(quaternions: Float32) -> Float32:

@@ -47,6 +47,6 @@ def encode_ply(cloud: GaussianCloud, comment: str) -> bytes:
 
 def unit_quaternions(quaternions: Float32) -> Float32:
     """[G,4] of unit length; a quaternion of no length becomes the identity."""
-    length = np.linalg.norm(quaternions, axis=1, keepdims=True)
-    identity = np.array([1, 0, 0, 0], np.float32)
-    return np.where(length > 1e-12, quaternions / np.maximum(length, 1e-12), identity).astype(np.float32)
+    wide = quaternions.astype(np.float64)  # whose squares of any float32 are finite
+    length = np.linalg.norm(wide, axis=1, keepdims=True)
+    return np.where(length > 1e-12, wide / np.maximum(length, 1e-12), np.array([1, 0, 0, 0])).astype(np.float32)

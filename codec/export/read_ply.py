@@ -1,4 +1,4 @@
-"""PLY files of Gaussians, in the layout of the original 3D Gaussian splatting code."""
+"""PLY files of Gaussians, in the layout of the original 3D Gaussian splatting code, or compressed."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from streamlod.codec.export import read_compressed_ply
 from streamlod.codec.export.ply import SH_C0
 from streamlod.core.errors import InputError
-from streamlod.core.initialise.points_file import read_vertices
+from streamlod.core.initialise.ply_tables import read_tables
 from streamlod.core.scene.gaussians import GaussianCloud
 
 _NAMES = (
@@ -26,7 +27,10 @@ def decode_ply(path: Path) -> GaussianCloud:
     Raises:
         InputError: the file cannot be read, is damaged, or is one of points or of another layout.
     """
-    table = read_vertices(path)
+    tables = read_tables(path)
+    table = tables["vertex"]
+    if read_compressed_ply.is_compressed(tables):
+        return read_compressed_ply.unpacked(path, tables)
     missing = [name for name in _NAMES if name not in (table.dtype.names or ())]
     if missing:
         raise InputError(path, f"is no PLY of Gaussians: its vertices lack {', '.join(missing)}")

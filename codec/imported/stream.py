@@ -9,6 +9,7 @@ from pathlib import Path
 
 from streamlod.codec.container import SlodWriter
 from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.export.upright import turned
 from streamlod.codec.imported.field import Order, later, order_of, scene_of
 from streamlod.codec.mp4.file import write_slod
 from streamlod.codec.mp4.reader import is_mp4
@@ -38,7 +39,12 @@ def is_importable(path: Path) -> bool:
 
 
 def import_files(
-    source: Path, out: Path, fps: float = 30.0, most: int = MAX_GAUSSIANS, tell: Callable[[str], None] = lambda _: None
+    source: Path,
+    out: Path,
+    fps: float = 30.0,
+    most: int = MAX_GAUSSIANS,
+    up: str | None = None,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> str:
     """Write the Gaussians of `source`, a file, a clip or a folder with a file for each frame, as a stream.
 
@@ -50,15 +56,18 @@ def import_files(
 
     Args:
         most: Gaussians of a frame that are kept, those that show most.
+        up: the axis of the files that points up (`snapshots.AXES`); that of their format by default.
         tell: called with the name of each file that is read.
 
     Raises:
         InputError: no file of Gaussians, one that is damaged or holds none, or a place that cannot be written.
     """
     if is_mp4(source):
+        if up is not None:
+            raise InputError(source, "holds packets, which are taken as they are; --up is for Gaussians")
         packets, has_sound = write_slod(source, out)
         return f"{out}: {packets} packets as they were{', with sound' if has_sound else ''}"
-    clouds = _clip(source, fps) if _is_clip(source) else _read_all(_files(source), tell)
+    clouds = _clip(source, fps, up) if _is_clip(source) else _read_all(_files(source), up, tell)
     title = "".join(c for c in source.stem if c.isprintable())[:_MAX_TITLE] or None
     writer = _Frames(fps, min(most, MAX_GAUSSIANS), title)
     count = 0
@@ -139,21 +148,21 @@ def _is_clip(path: Path) -> bool:
     return path.name.lower().endswith(CLIP_SUFFIXES["4dgs"]) and path.is_file()
 
 
-def _clip(path: Path, fps: float) -> Iterator[tuple[Path, GaussianCloud]]:
+def _clip(path: Path, fps: float, up: str | None) -> Iterator[tuple[Path, GaussianCloud]]:
     """The frames of a `.4dgs` file."""
     from streamlod.codec.export.fourdgs_file import read_clip
 
-    for cloud in read_clip(path, fps):
+    for cloud in read_clip(path, fps, up):
         yield path, _some(path, cloud)
 
 
-def _read_all(files: list[Path], tell: Callable[[str], None]) -> Iterator[tuple[Path, GaussianCloud]]:
+def _read_all(files: list[Path], up: str | None, tell: Callable[[str], None]) -> Iterator[tuple[Path, GaussianCloud]]:
     for path in files:
         tell(path.name)
         known = format_of(path)
         assert known is not None
         assert known.decode is not None
-        yield path, _some(path, known.decode(path))
+        yield path, _some(path, turned(known.decode(path), known.up, up or known.up))
 
 
 def _some(path: Path, cloud: GaussianCloud) -> GaussianCloud:

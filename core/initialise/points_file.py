@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import zipfile
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,30 +15,12 @@ from streamlod.core.arrays import Float32
 from streamlod.core.camera.space import UNCHANGED, Similarity
 from streamlod.core.errors import InputError
 from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.ply_tables import MAX_POINTS, read_tables
 
 SUFFIXES = (".ply", ".npz")
-MAX_POINTS = 20_000_000
-_MAX_HEADER_BYTES = 1 << 16
-_MAX_PROPERTIES = 256
-_ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
-_SCALARS = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "<i2", "int16": "<i2", "ushort": "<u2",
-    "uint16": "<u2", "int": "<i4", "int32": "<i4", "uint": "<u4", "uint32": "<u4", "float": "<f4", "float32": "<f4",
-    "double": "<f8", "float64": "<f8",
-}  # fmt: skip
 _SH_BAND_0 = 1 / (2 * math.sqrt(math.pi))  # splat files keep colour as 0.5 + this times f_dc
 _GREY = 0.5  # the colour of points that have none
 _POSITION_NAMES, _COLOUR_NAMES = ("positions", "points", "xyz"), ("colours", "colors", "rgb")
-
-
-@dataclass(frozen=True, slots=True)
-class _Header:
-    """The facts of a PLY header: format, number of vertices, (name, numpy type) of each property, other elements."""
-
-    binary: bool
-    count: int
-    properties: tuple[tuple[str, str], ...]
-    more: bool
 
 
 def read_points(path: Path, space: Similarity = UNCHANGED) -> PointCloud:
@@ -70,97 +51,15 @@ def read_points(path: Path, space: Similarity = UNCHANGED) -> PointCloud:
     return PointCloud(np.ascontiguousarray(positions), np.clip(colours, 0, 1).astype(np.float32))
 
 
-def read_vertices(path: Path) -> NDArray[Any]:
-    """The vertices of a PLY file, a field for each of their properties.
-
-    Raises:
-        InputError: the file cannot be read, is damaged or too large.
-    """
-    try:
-        with path.open("rb") as file:
-            header = _ply_header(path, file)
-            size_bytes = path.stat().st_size - file.tell()
-            return (_binary_table if header.binary else _ascii_table)(path, file, header, size_bytes)
-    except OSError as error:
-        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
-
-
 def _read_ply(path: Path) -> tuple[NDArray[Any], Float32]:
-    table = read_vertices(path)
-    if not {"x", "y", "z"} <= set(table.dtype.names or ()):
+    table = read_tables(path)["vertex"]
+    names = set(table.dtype.names or ())
+    if "packed_position" in names:
+        plain = "`npx @playcanvas/splat-transform in.ply out.ply` makes a plain one"
+        raise InputError(path, f"is a compressed PLY, of which points are not read; {plain}")
+    if not {"x", "y", "z"} <= names:
         raise InputError(path, "its vertices lack x, y or z")
     return np.stack([table[axis] for axis in "xyz"], axis=1).astype(np.float64), _ply_colours(table)
-
-
-def _ply_header(path: Path, file: BinaryIO) -> _Header:
-    """The header, with the file left at the first byte after it."""
-    lines: list[list[str]] = []
-    while not lines or lines[-1] != ["end_header"]:
-        line = file.readline(_MAX_HEADER_BYTES)
-        if not line.endswith(b"\n") or file.tell() > _MAX_HEADER_BYTES:
-            raise InputError(path, "is not a PLY file, or its header is cut off or too long")
-        lines.append(line.decode("latin-1").split())  # comments may be in any language
-        if len(lines) == 1 and lines[0] != ["ply"]:
-            raise InputError(path, "is not a PLY file")
-    lines = [words for words in lines[1:-1] if words and words[0] not in ("comment", "obj_info")]
-    order = _ORDERS.get(lines[0][1]) if lines and lines[0][::2] == ["format", "1.0"] else None
-    if order is None:
-        raise InputError(path, f"is a PLY of another format than {', '.join(_ORDERS)} 1.0")
-    elements = [index for index, words in enumerate(lines) if words[0] == "element"]
-    if elements and lines[elements[0]][1:2] == ["chunk"]:
-        raise InputError(
-            path, "is a compressed PLY; `npx @playcanvas/splat-transform in.ply out.ply` makes a plain one"
-        )
-    if not elements or lines[elements[0]][1:2] != ["vertex"] or len(lines[elements[0]]) != 3:
-        raise InputError(path, "must begin with its vertices")
-    end = elements[1] if len(elements) > 1 else len(lines)
-    properties = tuple(_property(path, words, order) for words in lines[elements[0] + 1 : end])
-    names = [name for name, _ in properties]
-    if not 1 <= len(names) <= _MAX_PROPERTIES or len(set(names)) != len(names):
-        raise InputError(path, "names no properties of its vertices, too many, or one twice")
-    return _Header(lines[0][1] != "ascii", _count(path, lines[elements[0]][2]), properties, len(elements) > 1)
-
-
-def _property(path: Path, words: list[str], order: str) -> tuple[str, str]:
-    if len(words) != 3 or words[0] != "property" or words[1] not in _SCALARS:
-        raise InputError(path, f"has a line in its header that is not a scalar property: {' '.join(words)[:60]!r}")
-    return words[2], _SCALARS[words[1]].replace("<", order)
-
-
-def _count(path: Path, word: str) -> int:
-    if not (word.isdecimal() and len(word) <= 12 and int(word) <= MAX_POINTS):
-        raise InputError(path, f"has {word[:20]} points; at most {MAX_POINTS} are read")
-    return int(word)
-
-
-def _binary_table(path: Path, file: BinaryIO, header: _Header, size_bytes: int) -> NDArray[Any]:
-    dtype = np.dtype(list(header.properties))
-    wanted = header.count * dtype.itemsize
-    if size_bytes < wanted:
-        raise InputError(path, f"is cut off: {wanted} bytes of points are announced, {size_bytes} are there")
-    if size_bytes > wanted and not header.more:
-        raise InputError(path, f"has {size_bytes - wanted} bytes too many after its points")
-    return np.frombuffer(file.read(wanted), dtype)
-
-
-def _ascii_table(path: Path, file: BinaryIO, header: _Header, size_bytes: int) -> NDArray[Any]:
-    columns = len(header.properties)
-    if size_bytes + 1 < 2 * header.count * columns:  # a digit and a blank are the least a number takes
-        raise InputError(path, f"is cut off: it is too short for {header.count} points")
-    words = file.read(size_bytes if header.count else 0).split(maxsplit=header.count * columns)
-    table = np.zeros(header.count, np.dtype([(name, "<f8") for name, _ in header.properties]))
-    if len(words) < header.count * columns:
-        raise InputError(path, f"is cut off: {header.count} points are announced, {len(words) // columns} are there")
-    if len(words) > header.count * columns and not header.more:
-        raise InputError(path, "has text after its points")
-    try:
-        for column, (name, _) in enumerate(header.properties):
-            table[name] = np.array(words[column : header.count * columns : columns]).astype(np.float64)
-    except ValueError as error:
-        raise InputError(path, "has a point that is not made of numbers") from error
-    integers = [(name, kind if kind[-2] != "f" else "<f8") for name, kind in header.properties]
-    with np.errstate(invalid="ignore"):
-        return table.astype(np.dtype(integers))
 
 
 def _ply_colours(table: NDArray[Any]) -> Float32:

@@ -62,7 +62,7 @@ def described(option: Option) -> Any:
     parser: Callable[[str], Any] | None = None
     metavar = option.metavar
     if option.choices:
-        parser, metavar = _one_of(option.choices), "|".join(option.choices)
+        parser, metavar = one_of(option.choices), "|".join(option.choices)
     elif _is_list(option):
         parser = partial(numbers_in, f"--{option.name}") if int in get_args(option.type) else names_in
     elif _is_mapping(option):
@@ -87,7 +87,9 @@ def takes(options: Iterable[Option]) -> Callable[[Callable[..., None]], Callable
     return widen
 
 
-def _one_of(choices: tuple[str, ...]) -> Callable[[str], str]:
+def one_of(choices: tuple[str, ...]) -> Callable[[str], str]:
+    """A parser of one of these words."""
+
     def choice(text: str) -> str:
         if text not in choices:
             raise typer.BadParameter(f"{text!r} is not one of {', '.join(choices)}")

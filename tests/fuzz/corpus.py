@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import random
 import tempfile
@@ -12,7 +13,9 @@ from pathlib import Path
 from streamlod.client.playback import Playback
 from streamlod.codec.container import SlodWriter
 from streamlod.codec.packet.bytes import parse
+from streamlod.codec.snapshots import FORMATS
 from streamlod.core.errors import BitstreamError
+from tests.codec.imported.clouds import compressed_ply, some_cloud
 from tests.fuzz.targets import CHUNKS, PACKET_TO_VIEWER, TEXT_TO_SERVER, TEXT_TO_VIEWER, addressed, joined, ready
 from tests.vectors.make import FOLDER, read_stream
 
@@ -79,13 +82,21 @@ def sessions() -> list[bytes]:
     return found
 
 
+def foreign() -> list[bytes]:
+    """Files of another kind than ours: PLY, compressed PLY, and SPZ 3 and 4, the former's inside as well."""
+    cloud = some_cloud(count=40)
+    ply, spz, spz4 = (FORMATS[name].encode(cloud, "x") for name in ("ply", "spz", "spz4"))
+    return [addressed(0, ply), addressed(0, compressed_ply(cloud)), *(addressed(1, data) for data in (spz, spz4)),
+            addressed(2, gzip.decompress(spz))]  # fmt: skip
+
+
 def kept() -> list[bytes]:
     """Inputs that once broke something, whatever the target: they never may again."""
     return [path.read_bytes() for path in sorted(KEPT.glob("*.bin"))]
 
 
 KEPT = Path(__file__).parent / "found"
-SEEDS = {"packet": packets, "entropy": chunks, "container": files, "session": sessions}
+SEEDS = {"packet": packets, "entropy": chunks, "container": files, "session": sessions, "foreign": foreign}
 
 
 def mutants(seeds: list[bytes], count: int, seed: int) -> Iterator[bytes]:

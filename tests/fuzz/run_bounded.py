@@ -1,7 +1,8 @@
 """`python -m tests.fuzz.run_bounded TARGET [--seconds 60] [--seed 1]`: mutants under limits of memory and time.
 
 Needs no fuzzer. Targets are those of `targets` and of `server_targets`. An input that takes more than a second of
-processor time, or more memory than there is left, fails; it is written to ``tests/fuzz/found``. Target `differential`
+processor time, or more memory than there is left, fails; it is written to ``tests/fuzz/found``. Who stops it early is
+told how many there were. Target `differential`
 gives each mutant to the Python decoder and to the page's, which runs under node, and compares refusals and states;
 `rust` does the same with the decoder in Rust, for `--count` mutants if that is given.
 The page's own targets are in `run_page.mjs`.
@@ -19,7 +20,8 @@ import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache
 from itertools import islice
 from pathlib import Path
@@ -48,18 +50,22 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, help="end after so many mutants, of differential and rust")
     options = parser.parse_args()
-    begin = _processor_seconds()
+    begin, counted = _processor_seconds(), 0
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as a hand at the keyboard stops it
     if options.target in _OTHERS:
         seconds = math.inf if options.count else options.seconds
-        count = differential(_OTHERS[options.target], seconds, options.seed, options.count or math.inf)
+        counts = differential(_OTHERS[options.target], seconds, options.seed, options.count or math.inf)
     else:
-        count = _alone(options.target, options.seconds, options.seed)
-    told = f"{count} executions in {_processor_seconds() - begin:.0f} s of processor time, no finding"
+        counts = _alone(options.target, options.seconds, options.seed)
+    with suppress(KeyboardInterrupt):
+        for count in counts:
+            counted = count
+    told = f"{counted} executions in {_processor_seconds() - begin:.0f} s of processor time, no finding"
     sys.stdout.write(f"{options.target}, seed {options.seed}: {told}\n")
 
 
-def _alone(name: str, seconds: float, seed: int) -> int:
-    """Mutants for one target for so long; the number of executions."""
+def _alone(name: str, seconds: float, seed: int) -> Iterator[int]:
+    """Mutants for one target for so long; the number of executions so far, after each."""
     if name in TARGETS:
         seeds, target = SEEDS[name](), TARGETS[name]
     else:
@@ -70,13 +76,12 @@ def _alone(name: str, seconds: float, seed: int) -> int:
         target(data)
     _limit_memory()
     signal.signal(signal.SIGVTALRM, _too_slow)
-    count, end = 0, _processor_seconds() + seconds
-    for data in mutants(seeds, 1 << 40, seed):
+    end = _processor_seconds() + seconds
+    for count, data in enumerate(mutants(seeds, 1 << 40, seed)):
         _within_limits(target, data if count % 16 == 0 else fix(data))
-        count += 1
+        yield count + 1
         if _processor_seconds() > end:
-            return count
-    return count
+            return
 
 
 def _processor_seconds() -> float:
@@ -88,6 +93,8 @@ def _within_limits(target: Callable[[bytes], None], data: bytes) -> None:
     signal.setitimer(signal.ITIMER_VIRTUAL, _INPUT_SECONDS)
     try:
         target(data)
+    except KeyboardInterrupt:
+        raise
     except BaseException:
         (KEPT / f"finding-{len(list(KEPT.iterdir()))}.bin").write_bytes(data)
         raise
@@ -108,8 +115,10 @@ Chosen = list[tuple[bytes, bytes]]  # last packet of a stream, and its mutant
 Before = dict[bytes, list[bytes]]  # the packets before it
 
 
-def differential(other: Callable[[Chosen, Before], list[list[object]]], seconds: float, seed: int, most: float) -> int:
-    """Mutants of the last packet of each stream for Python's and another decoder; the number of mutants.
+def differential(
+    other: Callable[[Chosen, Before], list[list[object]]], seconds: float, seed: int, most: float
+) -> Iterator[int]:
+    """Mutants of the last packet of each stream for Python's and another decoder; the number so far, after each batch.
 
     Args:
         seconds: of processor time, after which it ends. most: mutants, after which it ends.
@@ -131,7 +140,7 @@ def differential(other: Callable[[Chosen, Before], list[list[object]]], seconds:
                 (KEPT / f"differential-{count}.bin").write_bytes(mutant)
                 raise AssertionError(f"after {len(before[last])} packets: Python says {one}, the other {its}")
         count += len(chosen)
-    return count
+        yield count
 
 
 def _decoded(packets: list[bytes]) -> SceneDecoder:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import struct
 import tempfile
 import zlib
@@ -17,6 +18,7 @@ from streamlod.codec.chunks import level as chunks
 from streamlod.codec.chunks.change import Elapsed
 from streamlod.codec.container import SlodReader
 from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.imported import import_files
 from streamlod.codec.packet.bytes import HEADER_BYTES
 from streamlod.codec.packet.limits import DecoderLimits, Room
 from streamlod.codec.packet.packet import ChunkKind
@@ -210,6 +212,18 @@ def container(data: bytes) -> None:
         pass
 
 
+FOREIGN = ("a.ply", "a.spz", "packed.spz")  # the last is packed here, so that mutants reach what is inside
+
+
+def foreign(data: bytes) -> None:
+    """A file of another program, for the importer."""
+    number, content = _subject(data, len(FOREIGN))
+    path = _folder() / FOREIGN[number]
+    path.write_bytes(gzip.compress(content, 1) if path.stem == "packed" else content)
+    with suppress(InputError):
+        import_files(path, _folder() / "imported.slod")
+
+
 def session(data: bytes) -> None:
     """What a viewer and a server say to each other, either side taking what the other might never have sent."""
     playback = Playback(LIMITS)
@@ -234,5 +248,6 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "entropy": entropy,
     "container": container,
     "session": session,
+    "foreign": foreign,
 }
 REPAIRS = {"packet": repair_addressed, "container": repair_file, "session": repair_session}

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from streamlod.codec.snapshots import CLIP_SUFFIXES, FORMATS, PACKET_SUFFIXES
+from streamlod.codec.snapshots import AXES, CLIP_SUFFIXES, FORMATS, PACKET_SUFFIXES
 from streamlod.server.cli.app import app
-from streamlod.server.cli.options import SlodFile
+from streamlod.server.cli.options import SlodFile, one_of
 
 
 @app.command()
@@ -52,8 +52,16 @@ def import_scene(
     out: Annotated[Path | None, typer.Option(metavar="FILE.slod", help="Beside the source by default.")] = None,
     fps: Annotated[float, typer.Option(min=0.1, max=1000, help="Of a folder's frames.")] = 30.0,
     gaussians: Annotated[int, typer.Option(min=1, help="Keep so many at most, those that show most.")] = 262_144,
+    up: Annotated[
+        str | None,
+        typer.Option(
+            parser=one_of(AXES),
+            metavar="|".join(AXES),
+            help="Which axis of the file points up; -y by default for .ply, y for others.",
+        ),
+    ] = None,
 ) -> None:
     """Make a file that can be served and viewed of Gaussians that other programs wrote, or of packets in MP4 or HLS."""
     from streamlod.client.commands import import_scene as convert
 
-    typer.echo(convert(source, out, fps, gaussians))
+    typer.echo(convert(source, out, fps, gaussians, up))

@@ -25,20 +25,10 @@ from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import expand
 from streamlod.core.scene.gaussians import GaussianCloud
 from streamlod.server.cli.commands import playable
+from tests.codec.imported.clouds import some_cloud
 from tests.work import memory
 
 FAR = np.array([0.0, 0.0, -100.0])
-
-
-def _cloud(frame: int = 0, count: int = 400, growth: float = 0.05) -> GaussianCloud:
-    """Gaussians that sway, turn, and grow by a share with each frame."""
-    rng = np.random.default_rng(1)
-    means, quaternions = rng.normal(0, 1, (count, 3)), rng.normal(0, 1, (count, 4))
-    means[:, 0] += 0.1 * frame * np.sin(means[:, 1])
-    quaternions[:, 1] += 0.2 * frame
-    scales = np.exp(rng.normal(-4, 1, (count, 3))) * (1 + growth * frame)
-    parts = (means, quaternions, scales, rng.uniform(0.05, 0.99, count), rng.uniform(0.02, 0.98, (count, 3)))
-    return GaussianCloud(*(part.astype(np.float32) for part in parts))
 
 
 def _write(folder: Path, clouds: list[GaussianCloud], name: str = "ply") -> Path:
@@ -64,9 +54,9 @@ def _assert_shows(scene: Scene, cloud: GaussianCloud, scale: float) -> None:
 def test_a_file_shows_its_gaussians_and_stays_alive(tmp_path: Path, name: str) -> None:
     for package in {"glb": ["fourdgs"], "spz4": ["zstandard"]}.get(name, []):
         pytest.importorskip(package, reason="such files need streamlod[interchange]")
-    path = _write(tmp_path, [_cloud()], name) / f"frame_0{FORMATS[name].suffix}"
+    path = _write(tmp_path, [some_cloud()], name) / f"frame_0{FORMATS[name].suffix}"
     assert import_files(path, tmp_path / "a.slod") == f"{tmp_path / 'a.slod'}: 1 frame of 400 Gaussians, 1 keyframes"
-    _assert_shows(decode_version(tmp_path / "a.slod", 0), _cloud(), 0.04)
+    _assert_shows(decode_version(tmp_path / "a.slod", 0), some_cloud(), 0.04)
     with SlodReader(tmp_path / "a.slod") as reader:
         assert [entry.time_ns for entry in reader.entries[:3]] == [0, 10**9, 2 * 10**9]
         assert sum(entry.size_bytes for entry in reader.entries[1:]) < 10_000
@@ -74,7 +64,7 @@ def test_a_file_shows_its_gaussians_and_stays_alive(tmp_path: Path, name: str) -
 
 
 def test_a_sequence_becomes_changes_in_natural_order(tmp_path: Path) -> None:
-    clouds = [_cloud(frame) for frame in range(12)]
+    clouds = [some_cloud(frame) for frame in range(12)]
     folder = _write(tmp_path / "take", clouds)
     (folder / "notes.txt").write_text("not a frame")
     (folder / ".hidden.ply").write_text("not a frame")
@@ -86,7 +76,7 @@ def test_a_sequence_becomes_changes_in_natural_order(tmp_path: Path) -> None:
 
 
 def test_another_number_of_gaussians_or_too_much_growth_makes_a_keyframe(tmp_path: Path) -> None:
-    clouds = [_cloud(), _cloud(count=300), _cloud(1, 300), _cloud(2, 300, growth=0.6)]
+    clouds = [some_cloud(), some_cloud(count=300), some_cloud(1, 300), some_cloud(2, 300, growth=0.6)]
     import_files(_write(tmp_path / "take", clouds), tmp_path / "a.slod")
     with SlodReader(tmp_path / "a.slod") as reader:
         kinds = [entry.kind for entry in reader.entries]
@@ -96,7 +86,7 @@ def test_another_number_of_gaussians_or_too_much_growth_makes_a_keyframe(tmp_pat
 
 
 def test_those_that_show_most_are_kept_and_the_rest_told(tmp_path: Path) -> None:
-    cloud = _cloud()
+    cloud = some_cloud()
     path = _write(tmp_path, [cloud]) / "frame_0.ply"
     assert "of 100 Gaussians, of 400 the 100 that show most" in import_files(path, tmp_path / "a.slod", most=100)
     shown = expand(decode_version(tmp_path / "a.slod", 0), FAR)
@@ -107,7 +97,7 @@ def test_those_that_show_most_are_kept_and_the_rest_told(tmp_path: Path) -> None
 
 
 def test_levels_hold_what_shows_most_first(tmp_path: Path) -> None:
-    import_files(_write(tmp_path, [_cloud()]) / "frame_0.ply", tmp_path / "a.slod")
+    import_files(_write(tmp_path, [some_cloud()]) / "frame_0.ply", tmp_path / "a.slod")
     scene = decode_version(tmp_path / "a.slod", 0)
     assert [len(level) for level in scene.levels] == [25, 75, 300]
     areas = [np.median(np.sort(level.scaling[:, 3:], axis=1)[:, 1:].sum(axis=1)) for level in scene.levels]
@@ -117,7 +107,7 @@ def test_levels_hold_what_shows_most_first(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_files_of_another_program_are_read(tmp_path: Path) -> None:
     """With spherical harmonics of degree 3, whose higher bands are left out; both versions of SPZ packing."""
-    cloud, rng = _cloud(), np.random.default_rng(0)
+    cloud, rng = some_cloud(), np.random.default_rng(0)
     data = gsply.GSData(
         means=cloud.means, scales=np.log(cloud.scales), quats=cloud.quaternions,
         opacities=np.log(cloud.opacities / (1 - cloud.opacities)),
@@ -132,7 +122,7 @@ def test_files_of_another_program_are_read(tmp_path: Path) -> None:
 
 
 def test_files_that_are_damaged_or_something_else_are_refused_by_name(tmp_path: Path) -> None:
-    ply, spz, spz4 = (FORMATS[name].encode(_cloud(), "x") for name in ("ply", "spz", "spz4"))
+    ply, spz, spz4 = (FORMATS[name].encode(some_cloud(), "x") for name in ("ply", "spz", "spz4"))
     head = struct.pack("<IIIBBBB", 0x5053474E, 3, 4_000_000_000, 0, 12, 0, 0)
     points = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n"
     wrong = {
@@ -140,7 +130,7 @@ def test_files_that_are_damaged_or_something_else_are_refused_by_name(tmp_path: 
         "cut4.spz": spz4[:-1], "head4.spz": spz4[:20], "table4.spz": spz4[:60], "zeros4.spz": spz4[:112] + bytes(5000),
         "sizes4.spz": spz4[:40] + struct.pack("<Q", 1 << 40) + spz4[48:], "few4.spz": spz4[:15] + b"\4" + spz4[16:],
         "huge4.spz": spz4[:8] + b"\xff" * 4 + spz4[12:], "far4.spz": spz4[:16] + b"\xff" * 4 + spz4[20:],
-        "none3.spz": gzip.compress(head[:8] + bytes(8)), "none4.spz": FORMATS["spz4"].encode(_cloud(count=0), ""),
+        "none3.spz": gzip.compress(head[:8] + bytes(8)), "none4.spz": FORMATS["spz4"].encode(some_cloud(count=0), ""),
         "cut.spz": spz[: len(spz) // 2], "none.spz": b"", "huge.spz": gzip.compress(head), "plain.spz": head,
         "none.ply": ply.replace(b"vertex 400", b"vertex 0").partition(b"end_header\n")[0] + b"end_header\n",
     }  # fmt: skip
@@ -163,18 +153,18 @@ def test_a_bomb_of_zeros_is_not_unpacked(tmp_path: Path) -> None:
 
 def test_extensions_and_spherical_harmonics_of_spz_4_are_passed_over(tmp_path: Path) -> None:
     zstandard = pytest.importorskip("zstandard", reason="SPZ 4 needs streamlod[interchange]")
-    data = FORMATS["spz4"].encode(_cloud(), "")
+    data = FORMATS["spz4"].encode(some_cloud(), "")
     head, table, streams = bytearray(data[:32]), data[32:112], data[112:]
     head[12], head[14], head[15] = 1, 2, 6  # degree, flag of extensions, streams
     struct.pack_into("<I", head, 16, 32 + 12)
     bands = zstandard.ZstdCompressor().compress(bytes(400 * 9))
     (tmp_path / "a.spz").write_bytes(head + bytes(12) + table + struct.pack("<QQ", len(bands), 3600) + streams + bands)
     import_files(tmp_path / "a.spz", tmp_path / "a.slod")
-    _assert_shows(decode_version(tmp_path / "a.slod", 0), _cloud(), 0.04)
+    _assert_shows(decode_version(tmp_path / "a.slod", 0), some_cloud(), 0.04)
 
 
 def test_numbers_that_are_none_and_strays_far_away_spoil_nothing(tmp_path: Path) -> None:
-    cloud = _cloud()
+    cloud = some_cloud()
     means = cloud.means.copy()
     means[3], means[7] = np.nan, (1e30, 0, 0)
     strange = replace(cloud, means=means)
@@ -186,7 +176,7 @@ def test_numbers_that_are_none_and_strays_far_away_spoil_nothing(tmp_path: Path)
 
 def test_the_ends_of_logarithms_are_kept(tmp_path: Path) -> None:
     """Opacities of 0 and 1, and flat Gaussians; a comment in another language does no harm."""
-    cloud = _cloud()
+    cloud = some_cloud()
     data = FORMATS["ply"].encode(cloud, "a test").replace(b"comment a test", "comment gefüllt".encode())
     head, _, body = data.partition(b"end_header\n")
     rows = np.frombuffer(body, "<f4").reshape(400, 17).copy()
@@ -204,7 +194,7 @@ def test_a_file_that_is_served_is_made_once_and_again_when_it_changed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    path = _write(tmp_path / "take", [_cloud()]) / "frame_0.ply"
+    path = _write(tmp_path / "take", [some_cloud()]) / "frame_0.ply"
     made = playable(path)
     decoder = SceneDecoder()
     with SlodReader(made) as reader:
@@ -213,7 +203,7 @@ def test_a_file_that_is_served_is_made_once_and_again_when_it_changed(
     assert decoder.scene.anchor_count == 400
     assert playable(path) == made
     assert playable(tmp_path / "take") != made
-    path.write_bytes(FORMATS["ply"].encode(_cloud(count=90), "x"))
+    path.write_bytes(FORMATS["ply"].encode(some_cloud(count=90), "x"))
     assert playable(path) != made
     assert playable(made) == made
 
@@ -230,7 +220,7 @@ def test_what_cannot_be_played_is_refused_before_the_server_starts(tmp_path: Pat
 
 @pytest.mark.parametrize("unit", [1e-3, 1e3])
 def test_any_unit_will_do(tmp_path: Path, unit: float) -> None:
-    cloud = _cloud()
+    cloud = some_cloud()
     other = replace(cloud, means=cloud.means * np.float32(unit), scales=cloud.scales * np.float32(unit))
     import_files(_write(tmp_path, [other]) / "frame_0.ply", tmp_path / "a.slod")
     shown = expand(decode_version(tmp_path / "a.slod", 0), FAR * unit)

@@ -58,6 +58,16 @@ def test_faces_after_the_vertices_are_ignored(tmp_path: Path) -> None:
     assert len(read_points(path)) == 3
 
 
+@pytest.mark.parametrize(
+    ("kind", "body"), [("ascii", b"7 8\n" + ASCII), ("binary_little_endian", b"\7\0\b\0" + binary_body())]
+)
+def test_elements_before_the_vertices_are_passed_over(tmp_path: Path, kind: str, body: bytes) -> None:
+    path = tmp_path / "cloud.ply"
+    other = b"element sensor 2\nproperty short number\nelement"
+    path.write_bytes(ply(kind, body).replace(b"element", other, 1))
+    np.testing.assert_array_equal(read_points(path).positions, POSITIONS)
+
+
 def test_splat_colours_come_from_band_zero(tmp_path: Path) -> None:
     names = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2")
     path = tmp_path / "splats.ply"
@@ -87,7 +97,11 @@ def test_points_without_colour_are_grey(tmp_path: Path) -> None:
         (b"plyx\n", "not a PLY"),
         (b"ply\n" + b"comment \n" * 10_000, "too long"),
         (ply("binary_middle_endian", b""), "another format"),
-        (ply("ascii", b"").replace(b"vertex", b"chunk"), "compressed PLY"),
+        (ply("ascii", b"").replace(b"vertex", b"chunk"), "no vertices"),
+        (ply("ascii", b"1\n", 1, "property uint packed_position\n"), "compressed PLY"),
+        (ply("ascii", ASCII).replace(b"element", b"element list 1\nproperty list uchar int x\nelement", 1), "scalar"),
+        (ply("ascii", ASCII).replace(b"element", b"element rows 4\nproperty int n\nelement", 1), "cut off"),
+        (ply("ascii", ASCII).replace(b"element", b"element rows 1\nelement", 1), "names no property"),
         (ply("binary_little_endian", binary_body()[:-1]), "cut off"),
         (ply("binary_little_endian", binary_body() + b"!"), "too many"),
         (ply("binary_little_endian", b"", 10**11), "at most"),
