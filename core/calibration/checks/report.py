@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from streamlod.core.arrays import UInt8
-from streamlod.core.calibration.checks import clocks, coverage, looks, matches
+from streamlod.core.calibration.checks import clocks, coverage, looks, matches, poses
 from streamlod.core.calibration.checks.finding import RigFinding, fault
 from streamlod.core.camera import Camera
 from streamlod.core.frames import FrameSet
@@ -59,19 +58,15 @@ def examine(
     best = np.full(len(cameras), np.nan)
     if len(seen) > 1:
         present = [cameras[number] for number in seen]
-        pairs = matches.matched(_together([of_camera[number] for number in seen]))
-        findings += matches.judged(pairs, present)
-        misses = matches.residuals(pairs, present)
-        best[seen] = [np.nanmin(row) if np.isfinite(row).any() else np.nan for row in misses]
+        # what stands still is the same at all instants, so these need not agree
+        pairs = matches.matched([of_camera[number][len(of_camera[number]) // 2] for number in seen])
+        agreed = poses.agreements(pairs, present)
+        findings += poses.judged(agreed, pairs, present)
+        best[seen] = poses.misses(agreed, len(present))
         findings += coverage.judged(coverage.coverage_of(present), present)
     findings.sort(key=lambda finding: _ORDER.index(finding.severity))
     rows = _rows(cameras, dict(zip(seen, found, strict=True)), known, best.tolist())
     return RigCheck("\n".join(rows), tuple(findings))
-
-
-def _together(pictures: Sequence[Sequence[UInt8]]) -> list[list[UInt8]]:
-    """One picture a camera from the middle; what stands still is the same in all, so instants need not agree."""
-    return [[of_camera[len(of_camera) // 2]] for of_camera in pictures]
 
 
 def _rows(
