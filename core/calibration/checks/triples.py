@@ -27,7 +27,7 @@ _HELD = 1e-9  # holds points that cameras at one place leave open
 
 @dataclass(frozen=True, slots=True)
 class TripleMiss:
-    """What three cameras say of the points that all see.
+    """Three cameras and how far they miss the points that all see.
 
     Attributes:
         cameras: numbers of the three.
@@ -46,7 +46,7 @@ class TripleMiss:
 
 
 def triple_misses(pairs: Sequence[PairMatches], cameras: Sequence[Camera]) -> list[TripleMiss]:
-    """What each three cameras with enough points in common say."""
+    """The misses of all three cameras with enough points in common."""
     by_pair = {(pair.first, pair.second): pair for pair in pairs}
     centres = np.array([camera.centre for camera in cameras])
     middle = centres.mean(axis=0)
@@ -95,7 +95,7 @@ def _linked(by_pair: dict[tuple[int, int], PairMatches], hub: int, end: int) -> 
 
 
 def _left(views: Float64, pixels: Float64) -> tuple[float, tuple[float, float, float]]:
-    """What is left of points [N,3,2] by three projections [3,3,4], and what of a turn would be.
+    """The miss of points [N,3,2] by three projections [3,3,4], and the part of a turn that would be left.
 
     Points are homogeneous of length one, so that those far away, and those that only lines behind the cameras
     explain, are as good as others.
