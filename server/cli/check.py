@@ -41,8 +41,10 @@ def check(source: Path, layout: str | None, settings: Settings, say: Say) -> tup
 
 
 def _recorded(data: Path, layout: str | None) -> RigCheck:
+    from streamlod.core.calibration.checks.finding import weak
     from streamlod.core.calibration.checks.report import examine
     from streamlod.core.data import open_dataset
+    from streamlod.server.pipeline.sound import sound_faults
 
     opened = open_dataset(data, layout=layout)
     count = opened.frame_count
@@ -52,7 +54,8 @@ def _recorded(data: Path, layout: str | None) -> RigCheck:
     for begin in begins:
         with closing(opened.frames(begin, min(count, begin + 2))) as found:  # type: ignore[type-var]
             frames += found
-    return examine(opened.cameras, frames, _clocks(data))
+    examined = examine(opened.cameras, frames, _clocks(data))
+    return replace(examined, findings=(*examined.findings, *(weak(fault) for fault in sound_faults(opened))))
 
 
 def _clocks(data: Path) -> dict[str, Clock]:

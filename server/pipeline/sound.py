@@ -10,11 +10,13 @@ from streamlod.codec.sound.beside import sound_beside
 from streamlod.codec.sound.opus import SAMPLE_RATE, write_sound
 from streamlod.core.data import Dataset
 from streamlod.core.data.dataset import Film
-from streamlod.core.data.video.sound import filmed_sound, sound_channels
+from streamlod.core.data.video.sound import filmed_sound, silent_seconds, sound_channels
 from streamlod.core.errors import InputError
 
 _LOG = logging.getLogger(__name__)
 AUTO, NONE = "auto", "none"
+_SILENT = "no sound of"
+_LATE_S = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +36,8 @@ def choose_sound(dataset: Dataset, choice: str) -> FilmedSound | None:
     """The sound that `choice` names; None where there shall be, or is, none.
 
     Args:
-        choice: ``auto`` for the first camera that has sound, ``none``, a camera's name, or a file that began to record
-            when the first camera did.
+        choice: ``auto`` for the first camera that is heard, ``none``, a camera's name, or a file that began to record
+            when the first camera did. A sentence in the log names a microphone that is silent or heard late.
 
     Raises:
         InputError: no such camera or file, or one without sound that can be used.
@@ -44,18 +46,32 @@ def choose_sound(dataset: Dataset, choice: str) -> FilmedSound | None:
     films = {each.name: recording.source.film(row) for row, each in enumerate(recording.cameras)}
     if choice == NONE:
         return None
+    seconds = _seconds(dataset)
     if choice == AUTO:
-        return next((found for film in films.values() if (found := _usable(film)) is not None), None)
+        for name, film in films.items():
+            if film is not None and (found := _usable(film)) is not None and _listened(name, film, seconds):
+                return found
+        return None
     if choice in films:
         named = films[choice]
         if named is None:
             raise InputError("--sound", f"camera {choice} has pictures and no video, so no sound; name a file")
-        return _required(named)
-    path = Path(choice)
-    if not path.is_file():
+    elif not Path(choice).is_file():
         raise InputError("--sound", f"{choice!r:.80} is neither a camera nor a file; cameras are {', '.join(films)}")
-    first = next(iter(films.values()))
-    return _required(Film(path, 0 if first is None else first.begin_ns))
+    else:
+        first = next(iter(films.values()))
+        named = Film(Path(choice), 0 if first is None else first.begin_ns)
+    sound = _required(named)
+    _listened(choice, named, seconds)
+    return sound
+
+
+def sound_faults(dataset: Dataset) -> list[str]:
+    """A sentence for each camera whose microphone is silent over the whole recording, or heard late only."""
+    recording, seconds = dataset.recording, _seconds(dataset)
+    films = [(camera.name, recording.source.film(row)) for row, camera in enumerate(recording.cameras)]
+    found = [_fault(name, film, seconds) for name, film in films if film is not None and _usable(film) is not None]
+    return [fault for fault in found if fault]
 
 
 def write_beside(out: Path, sound: FilmedSound | None, seconds: float) -> None:
@@ -72,13 +88,35 @@ def write_beside(out: Path, sound: FilmedSound | None, seconds: float) -> None:
     write_sound(path, blocks, sound.channels, begin_ns=0)
 
 
-def _usable(film: Film | None) -> FilmedSound | None:
+def _usable(film: Film) -> FilmedSound | None:
     try:
-        channels = None if film is None else sound_channels(film.path)
+        channels = sound_channels(film.path)
     except InputError as error:
         _LOG.warning("%s; its sound is left out", error)
         return None
-    return None if film is None or channels is None else FilmedSound(film, channels)
+    return None if channels is None else FilmedSound(film, channels)
+
+
+def _seconds(dataset: Dataset) -> float:
+    return dataset.recording.source.time_ns(dataset.frame_count - 1) / 1e9 + 1 / dataset.recording.source.fps
+
+
+def _listened(name: str, film: Film, seconds: float) -> bool:
+    """Whether a film is heard at all; what is wrong with its sound is logged."""
+    fault = _fault(name, film, seconds)
+    if fault:
+        _LOG.warning("%s", fault)
+    return not fault.startswith(_SILENT)
+
+
+def _fault(name: str, film: Film, seconds: float) -> str:
+    """The fault of a film's sound within `seconds`, in a sentence; empty without one."""
+    silent = silent_seconds(film.path, film.begin_ns, seconds)
+    if silent is None:
+        return f"{_SILENT} {name}: it recorded silence; was it muted, or had it no power?"
+    if silent > _LATE_S:
+        return f"the sound of {name} starts {silent:.1f} s after its pictures; until then there is silence"
+    return ""
 
 
 def _required(film: Film) -> FilmedSound:

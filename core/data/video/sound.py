@@ -14,13 +14,15 @@ import av.audio.stream
 import av.container
 import numpy as np
 
-from streamlod.core.arrays import Int16
+from streamlod.core.arrays import Bool, Int16
 from streamlod.core.data.video.times import OWN_CLOCK
 from streamlod.core.errors import InputError
 
 _log = logging.getLogger(__name__)
 _RATES = 8_000, 384_000  # samples a second of sound that is taken
 _MAX_CHANNELS = 64
+_SILENCE = 8  # of 32768
+_LISTENING = 8000  # samples a second with which silence is looked for
 _TOLERANCE_S = Fraction(1, 50)  # by which a file's times may waver without a gap being meant
 
 
@@ -78,6 +80,25 @@ def filmed_sound(path: Path, rate: int, begin_ns: int, count: int) -> Iterator[I
         except av.FFmpegError as error:
             _log.warning("%s: its sound cannot be decoded after %.1f s (%s)", path, done / rate, error.strerror)
     yield from _silence(count - done, channels, rate)
+
+
+def silent_seconds(path: Path, begin_ns: int, seconds: float) -> float | None:
+    """The seconds from `begin_ns` until a file's sound is first heard; None where it is not within `seconds`.
+
+    Raises:
+        InputError: see `filmed_sound`.
+    """
+    done = 0
+    for block in filmed_sound(path, _LISTENING, begin_ns, round(seconds * _LISTENING)):
+        if (heard := audible(block)).any():
+            return float(done + heard.argmax()) / _LISTENING
+        done += len(block)
+    return None
+
+
+def audible(samples: Int16) -> Bool:
+    """[N] which of some samples [N, channels] are more than codecs and idle converters make of silence."""
+    return np.asarray(np.abs(samples.astype(np.int32)).max(axis=1) > _SILENCE, np.bool_)
 
 
 class Placer:

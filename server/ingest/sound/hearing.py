@@ -8,13 +8,12 @@ from collections.abc import Callable
 from fractions import Fraction
 
 import av
-import numpy as np
 
 from streamlod.codec.mp4.sound import SoundPiece
 from streamlod.codec.sound.encoder import SoundEncoder
 from streamlod.codec.sound.opus import SAMPLE_RATE
 from streamlod.codec.sound.packets import OpusPacket
-from streamlod.core.data.video.sound import Placer
+from streamlod.core.data.video.sound import Placer, audible
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.sync.timeline import Timeline
 
@@ -97,7 +96,7 @@ class Hearing:
             self._placer, self._encoder = Placer(SAMPLE_RATE, channels), SoundEncoder(channels)
         done: list[SoundPiece] = []
         for begin, block in self._placer.put(frame, time):
-            if np.any(block):
+            if audible(block).any():
                 self._loud_ns = self._timeline.now_ns()
             for packet in self._encoder.put(block, begin):
                 last = self._waiting[-1] if self._waiting else packet

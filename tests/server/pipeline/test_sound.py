@@ -9,7 +9,7 @@ from streamlod.codec.sound.beside import look_at_sound, sound_beside
 from streamlod.codec.sound.opus import SAMPLE_RATE
 from streamlod.core.data import Dataset, open_dataset
 from streamlod.core.errors import InputError
-from streamlod.server.pipeline.sound import choose_sound, write_beside
+from streamlod.server.pipeline.sound import choose_sound, sound_faults, write_beside
 from tests.clicks import onsets, write_sounding
 from tests.core.data.writers import picture, write_video, write_video_clip
 from tests.opus import read_sound
@@ -63,3 +63,30 @@ def test_flash_and_click_have_one_time(dataset: Dataset, tmp_path: Path) -> None
     flashed = [frame.time_ns / 1e9 for frame in dataset.select(["cam01"]).frames() if frame.images.mean() > 200]
     assert len(flashed) == 3
     assert clicked == pytest.approx(flashed, abs=0.02)
+
+
+def test_a_dead_microphone_is_told_and_passed_over(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    write_video_clip(tmp_path, ["cam00", "cam01"], 3)
+    write_sounding(tmp_path / "cam00.mp4", 3.0, without=(0.1, 3.0), begin=0.02)  # a second's end: nothing but silence
+    write_sounding(tmp_path / "cam01.mp4", 3.0)
+    dataset = open_dataset(tmp_path)
+    dead = "no sound of cam00: it recorded silence; was it muted, or had it no power?"
+    assert sound_faults(dataset) == [dead]
+    chosen = choose_sound(dataset, "auto")
+    assert chosen is not None
+    assert chosen.film.path.name == "cam01.mp4"
+    assert dead in caplog.messages
+    caplog.clear()
+    assert choose_sound(dataset, "cam00") is not None  # as it was named
+    assert dead in caplog.messages
+
+
+def test_sound_that_starts_late_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    write_video_clip(tmp_path, ["cam00", "cam01"], 3)
+    write_sounding(tmp_path / "cam00.mp4", 4.0, begin=1.6)  # the first click is at 2 s
+    write_sounding(tmp_path / "cam01.mp4", 4.0)
+    dataset = open_dataset(tmp_path)
+    late = "the sound of cam00 starts 2.0 s after its pictures; until then there is silence"
+    assert sound_faults(dataset) == [late]
+    assert choose_sound(dataset, "auto") is not None
+    assert late in caplog.messages
