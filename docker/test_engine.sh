@@ -93,6 +93,7 @@ for command in version "--version" "--help" "doctor --quick" "info /clip/scene.s
     echo "streamlod $command: $(head -1 "$WORK/said")"
 done
 
+for profile in observe cluster gpu; do $COMPOSE -f docker/compose.yaml --profile $profile config --quiet; done
 $COMPOSE $files up --detach --wait --no-build
 echo "healthy"
 
