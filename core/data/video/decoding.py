@@ -1,8 +1,7 @@
 """Decodes a video file into the pictures that can be shown: none that is damaged, or built upon one that is.
 
-Decoders conceal damage as well as they can, and go on with what came of it. Here, pictures from the damage to the next
-keyframe are missing instead, and the log says so once a file. Damage that a decoder takes for sense cannot be noticed:
-those of HEVC, VP9 and JPEG hardly check anything.
+Pictures from the damage to the next keyframe are missing (`reach`), and the log says so once a file. Damage that a
+decoder takes for sense cannot be noticed: those of HEVC, VP9 and JPEG hardly check anything.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ import av.video.stream
 from av.video.frame import PictureType
 
 from streamlod.core.data.video.damage import Damage
+from streamlod.core.data.video.reach import Reach
 from streamlod.core.data.video.times import PictureTimes
 
 _LATEST_BEGIN_NS = 5_000_000_000
@@ -56,19 +56,12 @@ def played_pictures(
 
 
 class _Decoding:
-    """One pass through a file.
-
-    Damage ends with the next keyframe. Where an intra refresh stands for keyframes, one has to pass as a whole, as the
-    decoder does not tell when its pictures are right again.
-    """
+    """One pass through a file."""
 
     def __init__(self, stream: av.video.stream.VideoStream, times: PictureTimes) -> None:
         self.damage = Damage()
         self._stream, self._times = stream, times
-        self._begun = False  # a picture was shown
-        self._lost = False
-        self._empty = True  # the decoder has nothing that a refresh could begin upon
-        self._keys: list[int] = []  # times of keyframes and refreshes that began after the damage
+        self._reach = Reach()
         self._held: list[tuple[int, av.VideoFrame]] = []  # B-pictures, which may be built upon the one that follows
 
     def put(self, packet: av.Packet[Any]) -> Iterator[tuple[int, av.VideoFrame]]:
@@ -76,8 +69,7 @@ class _Decoding:
         time_ns = self._times.sample(packet) if packet.size > 0 else None
         if time_ns is not None:
             self.damage.awaited.append(time_ns)
-            if packet.is_keyframe and self._lost and not self._empty:
-                self._keys.append(time_ns)
+            self._reach.sample(packet, time_ns)
         if not self._times.decodable:
             return
         try:
@@ -86,9 +78,10 @@ class _Decoding:
             frames = None
         if frames is None:
             yield from self._begin_anew()
-            self._lose()
+            self._reach.forget()
+            self.damage.happen()
             return
-        self._empty = False
+        self._reach.decoded()
         yield from self._shown(frames)
 
     def end(self) -> Iterator[tuple[int, av.VideoFrame]]:
@@ -102,7 +95,6 @@ class _Decoding:
             yield from self._shown(self._stream.decode(None))
         yield from self.end()
         self._stream.codec_context.flush_buffers()
-        self._empty = True
         if self._times.counted:  # which pictures come before the next keyframe is not known
             self._times.lose()
 
@@ -111,24 +103,14 @@ class _Decoding:
             assert isinstance(frame, av.VideoFrame)
             time_ns = self._times.picture(frame)
             if frame.is_corrupt:
-                if self._begun or frame.key_frame:  # else a refresh with which the file begins is not complete yet
+                if self._reach.begins_at(frame):
                     self._held = []
-                    self._lose()
+                    self.damage.happen()
                 continue
-            if time_ns is None or (self._lost and not self._mends(frame, time_ns)):
+            if time_ns is None or self._reach.includes(frame, time_ns):
                 continue
-            self._begun = True
             self._held.append((time_ns, frame))
             waits = frame.pict_type == PictureType.B and len(self._held) <= _MAX_HELD
             while self._held and not waits:
                 self.damage.show(self._held[0][0])
                 yield self._held.pop(0)
-
-    def _mends(self, frame: av.VideoFrame, time_ns: int) -> bool:
-        """Whether damage does not reach this picture."""
-        self._lost = not frame.key_frame and (len(self._keys) < 2 or time_ns < self._keys[1])
-        return not self._lost
-
-    def _lose(self) -> None:
-        self._lost, self._keys = True, []
-        self.damage.happen()

@@ -19,6 +19,7 @@ from streamlod.core.data.video.times import pictures_of
 from streamlod.core.data.video.upright import upright, upright_size
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.address import Address
+from streamlod.server.ingest.cameras.live_decoding import LiveDecoding
 from streamlod.server.ingest.cameras.opening import open_source
 from streamlod.server.ingest.cameras.reports import Reports, bytes_of, media_ns_of
 from streamlod.server.ingest.cameras.source_thread import SourceThread
@@ -128,7 +129,7 @@ class Reader(SourceThread):
         sound = None if self._hearing is None else sound_of(container)
         if self._hearing is not None and sound is None:
             self._hearing.gone("its source holds no sound")
-        reports = Reports(clock)
+        reports, decoding = Reports(clock), LiveDecoding(self.camera, stream)
         for packet in container.demux([stream] if sound is None else [stream, sound]):
             arrival = self._timeline.now_ns()
             if packet.stream is sound:
@@ -136,8 +137,7 @@ class Reader(SourceThread):
                     yield Sighting(arrival, media_ns_of(frame)), frame
                 continue
             reports.note(packet)
-            for picture in packet.decode():
-                assert isinstance(picture, av.VideoFrame)
+            for picture in decoding.pictures(packet):
                 yield Sighting(arrival, media_ns_of(picture), timecode_ns=_timecode(picture, self._fps)), picture
 
     def _wait(self, since_begin_ns: int) -> CaptureTime | None:
