@@ -132,14 +132,20 @@ class Follower:
         self._stream.counters.skips += 1
         if not self._hub.can_skip_from(self._sequence):
             self._sequence = None
+            assert self._hub.newest is not None
+            await self._tell_skipped(self._hub.newest)
             return
-        before = self._delivery.last
         newest, residual = await self._hub.skip(self._sequence, self._levels.levels)
         self._sequence = newest.sequence
-        if before is not None:
-            limits = {"from": before.position.version, "to": newest.position.version}
-            await self._delivery.send_event(event("skipped", **limits, reason="congestion"))
+        await self._tell_skipped(newest)
         await self._delivery.send(residual, newest)
+
+    async def _tell_skipped(self, newest: StreamPacket) -> None:
+        """Say that versions up to the newest are not sent one by one; another epoch says so itself."""
+        before = self._delivery.position
+        if before is not None and before.epoch == newest.position.epoch:
+            limits = {"from": before.version, "to": newest.position.version}
+            await self._delivery.send_event(event("skipped", **limits, reason="congestion"))
 
     async def _raise_level(self, now: float) -> None:
         """Send one more level: its part of the keyframe, and the residual from there to the newest state."""

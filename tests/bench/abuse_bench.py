@@ -5,7 +5,7 @@
 The server plays a recorded file at 10 frames a second and trains what cameras film, which `streamlod push` sends at
 two instants a second; half of the viewers watch each, and for some more the server draws. Prints now and then memory
 and descriptors of the server, memory of the worker that trains, what the viewers got and lost, and in the end who was
-turned away and why. Exit code 1 where a viewer lost a version or was closed, a stream is not live, or memory or
+turned away and why. Exit code 1 where a viewer lost a version untold or was closed, a stream is not live, or memory or
 descriptors kept growing.
 """
 
@@ -242,7 +242,8 @@ def main() -> None:  # noqa: PLR0915  a script
                 pipe.send("collect")
                 got: dict[str, Watched] = pipe.recv()
                 seen = "; ".join(
-                    f"{name}: {w.packets} packets, {w.missed} missed, {len(w.closed)} closed" for name, w in got.items()
+                    f"{name}: {w.packets} packets, {w.skips} skips, {w.missed} missed, {len(w.closed)} closed"
+                    for name, w in got.items()
                 )
                 text = f"{memory:.0f} MB, worker {worker:.0f} MB, {count} descriptors; {seen}; {thin.pictures} pictures"
                 print(f"{now - begin:6.0f} s, {acts} acts: {text}; load {os.getloadavg()[0]:.0f}", flush=True)
@@ -263,7 +264,7 @@ def main() -> None:  # noqa: PLR0915  a script
         restarts = stream["restarts"] - before[name]
         print(
             f"{name}: {stream['state']}, {restarts} restarts; {watched.packets} packets to honest viewers, "
-            f"{watched.missed} missed, closed: {', '.join(watched.closed) or 'none'}"
+            f"{watched.skips} skips told, {watched.missed} missed, closed: {', '.join(watched.closed) or 'none'}"
         )
     print(f"{thin.pictures} pictures to {options.thin} thin viewers, closed: {', '.join(thin.closed) or 'none'}")
     good = not thin.closed and all(stream["state"] == "live" for stream in streams.values())

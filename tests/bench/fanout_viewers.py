@@ -18,7 +18,7 @@ _HANDSHAKE = (
 _HELLO = b'{"type":"hello","versions":[1],"client":"bench/1"}'
 _ACK_EVERY = 32
 _ACK_SECONDS = 1.0
-_VERSION_AT = 16  # of the packet's field to_version
+_KIND_AT, _VERSION_AT = 6, 16  # of the packet's fields kind, 0 for a keyframe, and to_version
 _HEAD_BYTES = _VERSION_AT + 4
 _SCRATCH = bytearray(1 << 20)
 
@@ -32,6 +32,7 @@ class Viewer:
     left: int = 0
     final: bool = True
     version: int = 0
+    is_key: bool = False
     acked_at: float = 0.0
     packets: int = 0
     received: int = 0
@@ -64,6 +65,7 @@ class Viewer:
             opcode = self.waiting[0] & 15
             if opcode == 0 or (opcode == 2 and len(self.waiting) >= head + _HEAD_BYTES):
                 if opcode == 2:
+                    self.is_key = self.waiting[head + _KIND_AT] == 0
                     (self.version,) = struct.unpack_from("<I", self.waiting, head + _VERSION_AT)
                 self.final = self.waiting[0] >= 0x80
                 self.received += size

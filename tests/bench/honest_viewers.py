@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import json
 import select
 import time
 from dataclasses import dataclass
@@ -20,12 +21,14 @@ class Watched:
 
     Attributes:
         packets: that came.
-        missed: versions that did not come after the viewer had caught up, and events that say so.
+        missed: versions that did not come after the viewer had caught up, with no event that says so.
+        skips: events that say so: the viewer, or the server, was too slow.
         closed: connections that ended, with their reasons.
     """
 
     packets: int = 0
     missed: int = 0
+    skips: int = 0
     closed: tuple[str, ...] = ()
 
 
@@ -36,23 +39,23 @@ class Honest(Viewer):
     stream: str = ""
     last: int | None = None  # version, once it has caught up
     following: bool = False
+    told: bool = True  # that versions are left out, or begin anew
     seen: int = 0
     missed: int = 0
+    skips: int = 0
 
     def take_text(self, text: bytes) -> None:
-        if b'"caught_up"' in text:
-            self.following = True
-        elif b'"event":"epoch"' in text.replace(b" ", b""):
-            self.last = None
-        elif b'"skipped"' in text:
-            self.missed += 1
-            self.last = None
+        name = json.loads(text).get("event")
+        self.following = self.following or name == "caught_up"
+        self.told = self.told or name in {"epoch", "levels", "skipped"}
+        self.skips += name == "skipped"
 
     def complete(self) -> int:
         version = Viewer.complete(self)
         self.seen += 1
-        if self.following and self.last is not None and version not in {self.last, self.last + 1}:
-            self.missed += 1
+        expected = self.last is None or version in {self.last, self.last + 1}
+        self.missed += not (expected or self.told)
+        self.told = self.told and self.is_key  # a residual over what was told may follow that
         self.last = version if self.following else None
         return version
 
@@ -63,7 +66,7 @@ def watch(pipe: Connection, port: int, count: int, streams: tuple[str, ...]) -> 
     poll.register(pipe.fileno(), select.EPOLLIN)
     viewers: dict[int, Honest] = {}
     closed: dict[str, list[str]] = {stream: [] for stream in streams}
-    totals = {stream: [0, 0] for stream in streams}  # of viewers that were closed
+    totals = {stream: [0, 0, 0] for stream in streams}  # of viewers that were closed
     for _, stream in zip(range(count), itertools.cycle(streams), strict=False):
         viewer = Honest(join(port, stream=stream), stream=stream)
         viewers[viewer.peer.fileno()] = viewer
@@ -83,6 +86,7 @@ def watch(pipe: Connection, port: int, count: int, streams: tuple[str, ...]) -> 
                 closed[viewer.stream].append(viewer.reason or str(error))
                 totals[viewer.stream][0] += viewer.seen
                 totals[viewer.stream][1] += viewer.missed
+                totals[viewer.stream][2] += viewer.skips
                 poll.unregister(descriptor)
                 del viewers[descriptor]
         now = time.monotonic()
@@ -98,4 +102,5 @@ def _total(
     here = [viewer for viewer in viewers.values() if viewer.stream == stream]
     packets = totals[stream][0] + sum(viewer.seen for viewer in here)
     missed = totals[stream][1] + sum(viewer.missed for viewer in here)
-    return Watched(packets, missed, tuple(closed[stream]))
+    skips = totals[stream][2] + sum(viewer.skips for viewer in here)
+    return Watched(packets, missed, skips, tuple(closed[stream]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -48,6 +49,28 @@ def test_a_copy_of_a_running_server_is_restored(clip: Clip, tmp_path: Path) -> N
             assert client.get(groups[name][0]["path"]).content == data[name]
         spec = server.registry.streams["rig"].spec
         assert spec.job.live["cameras"][0]["source"] == source
+
+
+def test_a_folder_that_another_version_used_is_served_and_keeps_what_is_not_known(clip: Clip, tmp_path: Path) -> None:
+    """As after a rollback: a field and files of a newer version, and the catalogue of an older one."""
+    settings, spec = Settings(state=tmp_path / "state"), StreamSpec(id="ours", play=clip.path)
+    with running(settings, spec) as server:
+        server.wait(lambda stream: (stream["epoch"] or 0) >= 2, "ours")
+        before = server.stream("ours")["incarnation"]
+    path = tmp_path / "state" / "streams" / "ours" / "stream.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"new_field": [1]}))
+    strange = (path.with_name("index.new-kind"), tmp_path / "state" / "catalogue.sqlite3")
+    for each in strange:
+        each.write_bytes(b"of another version")
+    with running(settings, spec) as server, server.client() as client:
+        found = server.wait(lambda stream: stream["state"] == "live", "ours")
+        assert (found["incarnation"], found["epoch"] >= 3) == (before, True)
+        groups = client.get("/v1/streams/ours/manifest").json()["gops"]
+        assert groups[0]["epoch"] < found["epoch"]
+        assert client.get(groups[0]["path"]).status_code == 200
+        assert {each["stream"] for each in client.get("/v1/recordings").json()["items"]} == {"ours"}
+    assert json.loads(path.read_text())["new_field"] == [1]
+    assert all(each.read_bytes() == b"of another version" for each in strange)
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is missing")

@@ -132,8 +132,11 @@ def test_viewers_of_an_edge_stay_while_the_origin_becomes_another_version(
         viewer.until("caught_up")
         origin.process.terminate()
         origin.process.wait(60)
-        stack.enter_context(node(tmp_path, *serve, port=port, source=after))
+        new = stack.enter_context(node(tmp_path, *serve, port=port, source=after))
         assert viewer.until("epoch", 30)["epoch"] == 2
         viewer.next_packet()
         scene = viewer.until_version(60)
         assert state_hash(scene) == state_hash(slow_long_clip.states[scene.version])
+        groups = new.get("/v1/streams/main/manifest").json()["gops"]
+        assert {group["epoch"] for group in groups} == {1, 2}
+        assert all(new.get(group["path"]).status_code == 200 for group in groups)

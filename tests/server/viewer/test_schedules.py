@@ -18,6 +18,8 @@ import streamlod.server.stream.hub
 import streamlod.server.stream.stream
 from streamlod.codec.decoder import SceneDecoder
 from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.packet.info import PacketInfo, peek
+from streamlod.codec.packet.packet import PacketKind
 from streamlod.core.scene.anchors import AnchorLevel, Scene
 from streamlod.core.scene.residual import difference
 from streamlod.server.pipeline.spec import StreamSpec
@@ -75,13 +77,17 @@ class Clip:
 
 
 class Link:
-    """A viewer's end: decodes what arrives; nothing arrives while it is stalled."""
+    """A viewer's end: decodes what arrives; nothing arrives while it is stalled.
+
+    While it follows the live edge, versions that do not come one by one have to be told.
+    """
 
     def __init__(self, clip: Clip) -> None:
         self.clip, self.decoder, self.received = clip, SceneDecoder(), 0
         self.open = asyncio.Event()
         self.open.set()
         self.events: list[dict[str, Any]] = []
+        self._last, self._live, self._told = -1, False, True
 
     async def binary(self, message: BinaryMessage, interval_seconds: float | None = None) -> None:
         await self.open.wait()
@@ -89,7 +95,11 @@ class Link:
 
     async def text(self, message: str) -> None:
         await self.open.wait()
-        self.events.append(json.loads(message))
+        said = json.loads(message)
+        self.events.append(said)
+        self._told = self._told or said.get("event") in {"skipped", "levels", "epoch", "position"}
+        if said.get("event") == "position":
+            self._live = said["mode"] == "live"
 
     def post(self, frame: bytes) -> None:
         assert self.is_clear
@@ -113,9 +123,16 @@ class Link:
         packet = frame[head:end]
         if frame[end:]:  # a window event that travels with the packet
             self.events.append(json.loads(frame[end + (2 if frame[end + 1] < 126 else 4) :]))
+        self._count(peek(packet))
         self.decoder.push(packet)
         self.received += len(packet)
         self.clip.check(self.decoder)
+
+    def _count(self, info: PacketInfo) -> None:
+        follows = info.to_version in {self._last, self._last + 1}
+        assert follows or self._told or not self._live, f"{self._last} to {info.to_version}: {self.events[-5:]}"
+        self._last = info.to_version
+        self._told = self._told and info.kind is PacketKind.KEY  # a residual over what was told may follow that
 
 
 class Schedule:
