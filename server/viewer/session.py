@@ -33,6 +33,7 @@ from streamlod.server.viewer.together import Companion
 
 _LOG = logging.getLogger(__name__)
 _TICK_SECONDS = 1.0
+_WINDOW_SECONDS = 0.25  # between two window events while there is something new
 _MAX_LEVELS = 64
 
 
@@ -85,7 +86,7 @@ class ViewerSession:
         self._sound.want(hello.sound)
         self._playhead = Playhead(None if self._relays else hello.start)
         self._tell_levels = False
-        self._window_sent_at = now
+        self._window_sent_at, self._window_sent = now, stream.newest
         self._allowance = Allowance(limits.messages_per_second, now)
         self._began_at = now
         self.companion = Companion(stream.together, self.id, self._notify)
@@ -222,7 +223,7 @@ class ViewerSession:
             await self.wake.wait()
             return
         now = time.monotonic()
-        wait = _TICK_SECONDS
+        wait = _TICK_SECONDS if self._window_sent == self._stream.newest else _WINDOW_SECONDS
         if self._delivery.free_at > now:
             wait = min(wait, self._delivery.free_at - now)
         if self._playhead.mode == "replay" and (due := self._replay.seconds_to_next(now)) is not None:
@@ -247,17 +248,25 @@ class ViewerSession:
         if self._tell_levels:
             self._tell_levels = False
             await self._delivery.send_event(event("levels", levels=self._follower.shown_levels, reason="requested"))
+        await self._tell_window(now)
         if self._playhead.mode == "paused":
             return False
         return await self._sound.step(is_live=self._playhead.mode == "live") or await self._go_on(now)
+
+    async def _tell_window(self, now: float) -> None:
+        """Say what can be sought, also to who is paused: soon where it has grown, else about once a second."""
+        newest = self._stream.newest
+        pause = _TICK_SECONDS if newest == self._window_sent else _WINDOW_SECONDS
+        if now - self._window_sent_at < pause or self._delivery.must_wait(now):
+            return
+        if self._stream.window is not None:
+            self._window_sent_at, self._window_sent = now, newest
+            await self._delivery.send_event(event("window", **self._stream.window))
 
     async def _go_on(self, now: float) -> bool:
         """Send the next packet, if one is due."""
         if self._delivery.must_wait(now):
             return False
-        if now - self._window_sent_at >= _TICK_SECONDS and self._stream.window is not None:
-            self._window_sent_at = now
-            await self._delivery.send_event(event("window", **self._stream.window))
         if self._playhead.mode == "live":
             return await self._follower.step(now)
         going_on = await self._replay.step(now)

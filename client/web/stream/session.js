@@ -230,7 +230,7 @@ export class Session {
   applied(version, decodeMs, now, filmedMs = null) {
     const { status } = this, position = (status.position = { epoch: this.epoch, version });
     status.filmedMs = filmedMs;
-    const { window } = status; // told once a second, not while paused; what was shown can be sought
+    const { window } = status; // told a little later; what was shown can be sought
     if (window && (window.newest.epoch < this.epoch || (window.newest.epoch === this.epoch && window.newest.version <= version))) {
       status.window = { ...window, newest: position };
       status.newestMs = filmedMs ?? status.newestMs;

@@ -84,7 +84,7 @@ async function start(viewer) {
   const refresh = () => {
     const { status } = viewer;
     if (!status) return;
-    delay.show(status);
+    delay.show(status, viewer.isLost);
     element("stage").toggleAttribute("data-lost", viewer.isLost); // browsers draw a canvas without graphics as a broken image
     show(viewer.isLost ? lostGraphics(recording ? "Reload" : "Let the server draw") : words(status, viewer.picture !== null, retryAt - performance.now()));
     timeline.update(status);
@@ -108,7 +108,8 @@ async function start(viewer) {
   };
   viewer.addEventListener("picture", (event) => {
     const { detail } = /** @type {CustomEvent} */ (event);
-    if (detail.position && viewer.status) viewer.status.position = detail.position;
+    // Both, as a later one may be decoded already, and the timeline takes one for the time of the other.
+    if (detail.position && viewer.status) Object.assign(viewer.status, { position: detail.position, filmedMs: detail.timeMs ?? null });
     element("stage").toggleAttribute("data-shown", true);
     openMoment(); // where the scene came after the status
     rates.frame(detail, viewer.status?.bytes ?? 0);
@@ -140,7 +141,7 @@ async function start(viewer) {
   const heartbeat = setInterval(() => {
     quality.tick();
     if (viewer.status?.phase === "reconnecting") refresh();
-    delay.show(viewer.status);
+    delay.show(viewer.status, viewer.isLost);
     if (!element("stats").hidden) fillStatistics(element("stats"), viewer, rates, delay.seconds);
     canvas.ariaDescription = describe(viewer, element("t-time").textContent ?? "");
   }, 500);

@@ -45,7 +45,7 @@ export function attachPeek(source, timeline) {
     const { strip } = timeline, position = strip.positionAt(share * strip.seconds), file = position && source.address(position.epoch);
     if (pointerType !== "mouse" || !file) return;
     clearTimeout(leaving);
-    element("t-peek-time").textContent = clock(share * strip.seconds);
+    element("t-peek-time").textContent = clock(strip.filmedBefore(share * strip.seconds));
     place.style.setProperty("--at", String(share));
     place.hidden = false;
     if (moments?.file !== file) {

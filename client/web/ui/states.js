@@ -12,7 +12,7 @@ const WAITING_AT = 0.05, TRAINING_FROM = 0.1, TRAINING = 0.8, LOADING_AT = 0.95;
 const WITHOUT_PICTURE = ["connecting", "reconnecting", "deleted", "failed", "version", "denied", "missing"];
 
 /** @type {(chip: string, tone: Words["tone"], title: string, text: string, more?: object) => Words} */
-const full = (chip, tone, title, text, more = {}) => ({ chip, tone, card: { title, text, spinner: false, ...more } });
+const full = (chip, tone, title, text, more = {}) => ({ chip, tone, card: { title, text: text.charAt(0).toUpperCase() + text.slice(1), spinner: false, ...more } });
 
 /** How far back, for people. @type {(seconds: number | null) => string} */
 function behind(seconds) {
@@ -49,7 +49,7 @@ export function words(status, picture, waitMs) {
         detail || stage || "The picture appears as soon as there is one.",
         { spinner: true, fraction: fraction === null ? WAITING_AT : TRAINING_FROM + TRAINING * fraction });
     case "preview":
-      return small(`Preview${fraction === null ? "" : `, trained to ${Math.round(100 * fraction)} %`}`, "busy");
+      return small(fraction === null ? "Waiting for new frames" : `Preview, trained to ${Math.round(100 * fraction)} %`, "busy");
     case "live":
       if (trouble) return small(`Live, but ${trouble.length > MAX_CHARACTERS ? `${trouble.slice(0, MAX_CHARACTERS)}…` : trouble}`, "busy");
       return source === "cameras" ? small("Live", "live") : small("Newest frame", "good");

@@ -27,7 +27,8 @@ export function show(said) {
   button("card-button").textContent = label ?? "";
 }
 
-const DELAYED = ["live", "stalled"]; // phases in which a delay is told
+const DELAYED = ["live", "stalled", "preview", "reconnecting"]; // phases in which a delay is told
+const OLD = ["preview", "reconnecting"]; // phases whose words may hold another time
 
 /** The time since the picture on the screen was filmed, for live cameras; it grows while nothing new comes. */
 export class Delay {
@@ -41,7 +42,7 @@ export class Delay {
   /** Now, s; null where it cannot be told. */
   get seconds() {
     const { filmedMs, status } = this;
-    if (filmedMs === null || !status || status.clockMs === null || status.source !== "cameras" || !DELAYED.includes(status.phase)) return null;
+    if (filmedMs === null || !status || status.clockMs === null || status.source !== "cameras" || status.mode !== "live" || !DELAYED.includes(status.phase)) return null;
     return Math.max(0, Date.now() + status.clockMs - filmedMs) / 1000;
   }
 
@@ -50,11 +51,11 @@ export class Delay {
     this.filmedMs = filmedMs;
   }
 
-  /** In the chip. @param {import("../stream/session.js").Status | null} status */
-  show(status) {
+  /** In the chip. @param {import("../stream/session.js").Status | null} status @param {boolean} isLost - nothing is drawn */
+  show(status, isLost) {
     this.status = status;
-    const { seconds } = this;
-    element("status-latency").textContent = seconds === null ? "" : duration(seconds);
+    const { seconds } = this, old = status && OLD.includes(status.phase) ? " old" : "";
+    element("status-latency").textContent = seconds === null || isLost ? "" : duration(seconds) + old;
   }
 }
 

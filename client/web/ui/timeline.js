@@ -13,6 +13,7 @@ const SPEEDS = [0.25, 0.5, 1, 2, 4];
 const SCRUB_MS = 90; // between two seeks while dragging
 const ARROW_SECONDS = 5, PAGE_SECONDS = 30; // by keys on the bar
 const BEFORE_BEGIN_SECONDS = -1e9;
+const OVER = ["ended", "deleted"]; // phases of streams that will not go on
 
 /** @type {Record<string, number>} */
 const BAR_KEYS = { ArrowLeft: -ARROW_SECONDS, ArrowDown: -ARROW_SECONDS, ArrowRight: ARROW_SECONDS, ArrowUp: ARROW_SECONDS,
@@ -183,9 +184,9 @@ export class Timeline {
   skip(seconds) {
     const { position, strip } = this;
     if (!position) return;
-    const place = strip.placeOf(position) + seconds;
+    const place = strip.placeAfter(strip.filmedBefore(strip.placeOf(position)) + seconds);
     if (place >= strip.seconds && !this.recording) return this.live();
-    this.seekTo(strip.positionAt(Math.max(place, 0)));
+    this.seekTo(strip.positionAt(place));
   }
 
   /** Stand still at a moment; `epoch` null: of the newest one. @param {number} version @param {number | null} epoch */
@@ -270,7 +271,7 @@ export class Timeline {
     setIcon("t-play", this.stands ? "play" : "pause");
     button("t-play").setAttribute("aria-label", this.stands ? "Play" : "Pause");
     button("t-play").title = this.stands ? "Play (Space)" : "Pause (Space)";
-    element("t-live-text").textContent = status.source === "cameras" ? "LIVE" : "NEWEST";
+    element("t-live-text").textContent = status.source !== "cameras" ? "NEWEST" : OVER.includes(status.phase) ? "END" : "LIVE";
     const { position, strip } = this;
     if (!this.dragging) this.#show(atEdge || !position ? strip.seconds : strip.placeOf(position));
   }
@@ -282,8 +283,9 @@ export class Timeline {
     if (!this.dragging) this.scrub.value = String(place);
     this.scrub.style.setProperty("--done", `${(length > 0 ? (100 * place) / length : 100).toFixed(2)}%`);
     this.marks.place();
-    const behind = length - place, live = status?.mode === "live" && !this.dragging;
-    const text = this.recording ? `${clock(place)} / ${clock(length)}` : live || behind <= 0 ? clock(place) : `−${clock(behind)}`;
+    const behind = strip.behind(place, status?.source === "cameras"), live = status?.mode === "live" && !this.dragging;
+    const filmed = clock(strip.filmedBefore(place)), all = clock(strip.filmedBefore(length));
+    const text = this.recording ? `${filmed} / ${all}` : live || behind <= 0 ? filmed : `−${clock(behind)}`;
     element("t-time").textContent = text;
     this.scrub.setAttribute("aria-valuetext", this.recording || live ? text : `${clock(behind)} behind live, frame ${strip.positionAt(place)?.version ?? 0}`);
   }

@@ -92,6 +92,33 @@ export class Bar {
     return part.begin + Math.min(Math.max((times.at({ epoch: part.epoch, version }, fps) - begin) / 1000, 0), part.seconds);
   }
 
+  /** What was filmed before a place, s: without the gaps. @param {number} place */
+  filmedBefore(place) {
+    return this.parts.reduce((sum, { begin, seconds }) => sum + Math.min(Math.max(place - begin, 0), seconds), 0);
+  }
+
+  /** The place before which so much was filmed. @param {number} seconds */
+  placeAfter(seconds) {
+    let left = Math.max(seconds, 0);
+    for (const part of this.parts) {
+      if (left <= part.seconds) return part.begin + left;
+      left -= part.seconds;
+    }
+    return this.seconds;
+  }
+
+  /**
+   * How much later the newest was filmed than what lies at a place, s.
+   * @param {number} place
+   * @param {boolean} isOneClock - or epochs begin their times again: then without what lies between them
+   */
+  behind(place, isOneClock) {
+    const position = this.positionAt(place), newest = this.parts[this.parts.length - 1];
+    if (!position || !isOneClock) return this.filmedBefore(this.seconds) - this.filmedBefore(place);
+    const end = this.times.at({ epoch: newest.epoch, version: newest.last }, this.fps);
+    return Math.max(0, end - this.times.at(position, this.fps)) / 1000;
+  }
+
   /** What lies at a place. @param {number} place - seconds from the left @returns {Position | null} */
   positionAt(place) {
     const part = this.parts.filter(({ begin }) => begin <= place).pop() ?? this.parts[0];

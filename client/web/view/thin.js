@@ -169,12 +169,13 @@ export class ThinLink extends Link {
 
   /** A picture came. @param {ArrayBuffer} data @param {WebSocket} socket */
   async #show(data, socket) {
-    const { session } = this, head = new DataView(data, 0, HEADER_BYTES);
+    const { session } = this, size = Math.min(HEADER_BYTES, data.byteLength), image = new Uint8Array(data, size);
+    const start = performance.now(), bitmap = await createImageBitmap(new Blob([image], { type: "image/jpeg" })).catch(() => null);
+    if (socket !== this.socket) return bitmap?.close();
+    if (!bitmap) return this.#refuse();
+    const head = new DataView(data, 0, HEADER_BYTES);
     const [number, epoch, version] = [0, 4, 8].map((at) => head.getUint32(at, true));
     session.arrived(data.byteLength, version === session.status.position?.version ? session.lastPacket : performance.now());
-    const start = performance.now();
-    const bitmap = await createImageBitmap(new Blob([new Uint8Array(data, HEADER_BYTES)], { type: "image/jpeg" }));
-    if (socket !== this.socket) return bitmap.close();
     const { held } = this; // after a seek the server draws nothing before that version
     if (held === null || held === version || start > this.heldUntil) {
       this.held = null;
@@ -193,6 +194,15 @@ export class ThinLink extends Link {
     } else bitmap.close();
     this.transmit([{ type: "ack", picture: number }]);
     this.tell();
+  }
+
+  /** What came is no picture: leave and come again. */
+  #refuse() {
+    const { socket, session } = this;
+    session.refused++;
+    this.socket = null;
+    socket?.close(4400, "a picture was refused");
+    this.closed(4400, "a picture of the server cannot be read");
   }
 
   /** @param {any} wanted */

@@ -293,6 +293,12 @@ test("the bar is as long as was filmed, with gaps between the epochs", () => {
   assert.deepEqual(bar.positionAt(90 + gap + 5), { epoch: 3, version: 5 });
   assert.deepEqual(bar.positionAt(1e9), { epoch: 3, version: 10 });
   assert.deepEqual(bar.positionAt(-1), { epoch: 1, version: 0 });
+  assert.equal(bar.filmedBefore(90 + gap + 5), 95, "nothing was filmed in the gap");
+  assert.equal(bar.filmedBefore(90 + gap / 2), 90);
+  assert.deepEqual([-1, 80, 90, 95, 1e9].map((seconds) => bar.placeAfter(seconds)), [0, 80, 90, 90 + gap + 5, bar.seconds]);
+  assert.equal(bar.behind(80, true), 5010 - 180, "by one clock, with the time between the epochs");
+  assert.equal(bar.behind(80, false), 20);
+  assert.equal(bar.behind(bar.seconds, true), 0);
   assert.deepEqual([bar.positionAt(90 + 0.4 * gap), bar.positionAt(90 + 0.6 * gap)], [{ epoch: 1, version: 20 }, { epoch: 3, version: 0 }]);
   assert.equal(new Bar([], times, 30).positionAt(3), null);
   for (let version = 0; version < 10_000; version++) times.note({ epoch: 4, version }, 33 * version);

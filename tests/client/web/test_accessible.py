@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
-from tests.client.web.test_browser import INSPECT, WAIT, shows
+from tests.client.web.watching import INSPECT, WAIT, shows
 
 pytestmark = pytest.mark.browser
 

@@ -24,7 +24,7 @@ from streamlod.server.cli.rig import find, watch
 from streamlod.server.settings import Settings, load_settings
 from tests.client.web.conftest import TEST_FLAGS, Console, chromium_path
 from tests.client.web.test_accessible import AXE, RULES
-from tests.client.web.test_browser import WAIT
+from tests.client.web.watching import WAIT
 from tests.core.data.writers import write_video
 from tests.opus import read_sound
 from tests.server.conftest import running

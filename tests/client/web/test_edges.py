@@ -11,7 +11,7 @@ import pytest
 
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import EdgeSettings, Settings
-from tests.client.web.test_browser import shows
+from tests.client.web.watching import shows
 from tests.server.conftest import Clip, Running, make_clip, running
 from tests.server.ports import held_ports
 from tests.waiting import wait

@@ -21,7 +21,8 @@ from streamlod.codec.decoder import SceneDecoder
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
-from tests.client.web.test_browser import KEEP_TOASTS, WAIT, QuietHandler, eventually, said, shows
+from tests.client.web.simple_server import QuietHandler
+from tests.client.web.watching import KEEP_TOASTS, WAIT, eventually, said, shows
 from tests.server.conftest import running
 
 pytestmark = pytest.mark.browser

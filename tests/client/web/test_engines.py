@@ -24,7 +24,7 @@ from streamlod.core.scene.expand import expand
 from streamlod.core.scene.keyframe import as_keyframe
 from tests.client.web.miniserver import WEB, Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
-from tests.client.web.test_browser import comes_to_show, eventually, picture, psnr, reference, shows
+from tests.client.web.watching import comes_to_show, eventually, picture, psnr, reference, shows
 
 pytestmark = [pytest.mark.browser, pytest.mark.long]
 

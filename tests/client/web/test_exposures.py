@@ -12,7 +12,7 @@ from streamlod.core.scene.exposures import NEUTRAL, CameraExposure
 from streamlod.core.scene.metadata import Metadata
 from tests.client.web.miniserver import Behaviour, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
-from tests.client.web.test_browser import comes_to_show, psnr, reference, shows
+from tests.client.web.watching import comes_to_show, psnr, reference, shows
 
 pytestmark = pytest.mark.browser
 

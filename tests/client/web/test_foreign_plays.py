@@ -13,7 +13,7 @@ from streamlod.client.recording import decode_frames
 from streamlod.codec.imported import import_files
 from streamlod.core.camera import pinhole
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
-from tests.client.web.test_browser import comes_to_show, reference, shows
+from tests.client.web.watching import comes_to_show, reference, shows
 
 pytestmark = [pytest.mark.browser, pytest.mark.long]
 COUNT, SIZE = 300, (320, 180)

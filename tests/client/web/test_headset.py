@@ -11,7 +11,7 @@ import pytest
 
 from streamlod.core.camera import Camera, pinhole
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
-from tests.client.web.test_browser import WAIT, comes_to_show, eventually, picture, psnr, reference, shows
+from tests.client.web.watching import WAIT, comes_to_show, eventually, picture, psnr, reference, shows
 
 pytestmark = pytest.mark.browser
 

@@ -19,7 +19,7 @@ from streamlod.core.scene.interpolate import interpolate
 from streamlod.core.scene.residual import difference
 from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
-from tests.client.web.test_browser import WAIT, comes_to_show, picture, psnr, reference, shows
+from tests.client.web.watching import WAIT, comes_to_show, picture, psnr, reference, shows
 
 pytestmark = pytest.mark.browser
 

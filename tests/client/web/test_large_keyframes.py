@@ -9,7 +9,7 @@ import pytest
 
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
-from tests.client.web.test_browser import WAIT
+from tests.client.web.watching import WAIT
 from tests.server.conftest import running
 from tests.server.large_clip import make_large_clip
 

@@ -13,8 +13,8 @@ from streamlod.core.scene.residual import difference
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 from tests.client.web.scenes import make_scene
-from tests.client.web.test_browser import WAIT, shows
 from tests.client.web.test_sound import CLICKS, LISTEN, WATCH, in_step
+from tests.client.web.watching import WAIT, shows
 from tests.codec.scenes import move
 from tests.server.conftest import running
 from tests.server.sounds import hear, pieces

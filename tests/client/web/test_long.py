@@ -11,7 +11,7 @@ import pytest
 
 from tests.client.web.miniserver import Behaviour, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
-from tests.client.web.test_browser import COUNT_OBJECTS, shows
+from tests.client.web.watching import COUNT_OBJECTS, shows
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser, pytest.mark.timeout(900)]
 

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
-from tests.client.web.test_browser import KEEP_TOASTS, WAIT, picture, psnr, said, shows
+from tests.client.web.watching import KEEP_TOASTS, WAIT, picture, psnr, said, shows
 
 pytestmark = pytest.mark.browser
 FRAMES = 40

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
-from tests.client.web.test_browser import WAIT, eventually, picture, shows
+from tests.client.web.watching import WAIT, eventually, picture, shows
 
 pytestmark = pytest.mark.browser
 

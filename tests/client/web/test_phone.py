@@ -9,7 +9,7 @@ import pytest
 
 from tests.client.web.conftest import Console
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
-from tests.client.web.test_browser import KEEP_TOASTS, WAIT, said, shows
+from tests.client.web.watching import KEEP_TOASTS, WAIT, said, shows
 
 pytestmark = pytest.mark.browser
 

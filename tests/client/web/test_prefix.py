@@ -13,7 +13,7 @@ from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 from tests.attack.test_proxies import proxy
 from tests.client.web.miniserver import Clip
-from tests.client.web.test_browser import INSPECT, shows
+from tests.client.web.watching import INSPECT, shows
 from tests.server.conftest import running
 
 

@@ -14,7 +14,7 @@ from PIL import Image
 from streamlod.codec.container import SlodWriter
 from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
-from tests.client.web.test_browser import KEEP_TOASTS, WAIT, eventually, psnr, said, shows
+from tests.client.web.watching import KEEP_TOASTS, WAIT, eventually, psnr, said, shows
 
 pytestmark = pytest.mark.browser
 

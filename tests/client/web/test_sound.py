@@ -19,7 +19,7 @@ from streamlod.server.settings import Settings
 from tests.clicks import clicks
 from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
-from tests.client.web.test_browser import WAIT, shows
+from tests.client.web.watching import WAIT, shows
 from tests.server.conftest import Running, running
 
 pytestmark = pytest.mark.browser

@@ -20,7 +20,7 @@ from streamlod.codec.encoder import encode_keyframe
 from streamlod.core.camera import Camera
 from tests.client.web.miniserver import Behaviour, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
-from tests.client.web.test_browser import picture, psnr, shows
+from tests.client.web.watching import picture, psnr, shows
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
 

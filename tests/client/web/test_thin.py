@@ -12,9 +12,9 @@ from streamlod.core.render.splatter import Splatter
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Limits, Settings
 from tests.client.web.conftest import TEST_FLAGS, Console, chromium_path
-from tests.client.web.miniserver import Clip, make_clip
+from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
-from tests.client.web.test_browser import WAIT, comes_to_show, eventually, picture, psnr, shows
+from tests.client.web.watching import WAIT, comes_to_show, eventually, picture, psnr, shows
 from tests.server.conftest import Running, running
 
 pytestmark = pytest.mark.browser
@@ -186,3 +186,19 @@ def test_recordings_need_webgl(page: Any, server: Running) -> None:
     """Without a server that draws there is no picture, and the page says so."""
     page.goto(f"{server.url}/?src=/v1/streams/main/bitstream")
     page.locator("#card-title", has_text="This browser cannot show the scene").wait_for(**WAIT)
+
+
+def test_what_is_no_picture_is_refused_and_asked_for_again(page: Any, clip: Clip) -> None:
+    """A server that knows of no drawn pictures sends packets: the page says what is wrong, and goes on trying."""
+    behaviour = Behaviour(newest=3)
+    with serving(create_app(clip, behaviour)) as url:
+        page.goto(f"{url}/?thin=1")
+        page.locator("#card-text", has_text="A picture of the server cannot be read").wait_for(**WAIT)
+        assert page.locator("#card-button").inner_text() == "Try now"
+        eventually(lambda: _asked(behaviour, 3))
+        page.goto("about:blank")
+    page.complaints.forgive("WebSocket connection to")
+
+
+def _asked(behaviour: Behaviour, times: int) -> None:
+    assert len(behaviour.hellos) >= times

@@ -14,7 +14,7 @@ from streamlod.server.settings import Settings
 from tests.client.web.conftest import Console
 from tests.client.web.miniserver import make_clip
 from tests.client.web.scenes import make_scene
-from tests.client.web.test_browser import WAIT, shows
+from tests.client.web.watching import WAIT, shows
 from tests.server.conftest import Running, running
 
 pytestmark = pytest.mark.browser

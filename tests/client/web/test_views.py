@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
-from tests.client.web.test_browser import INSPECT, KEEP_TOASTS, WAIT, picture, said, shows
+from tests.client.web.watching import INSPECT, KEEP_TOASTS, WAIT, picture, said, shows
 
 pytestmark = pytest.mark.browser
 

@@ -19,7 +19,7 @@ from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.keyframe import as_keyframe
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
 from tests.client.web.scenes import make_scene
-from tests.client.web.test_browser import WAIT, amid_the_scene, eventually, picture, psnr, reference, shows
+from tests.client.web.watching import WAIT, amid_the_scene, eventually, picture, psnr, reference, shows
 
 pytestmark = [pytest.mark.browser, pytest.mark.long]
 

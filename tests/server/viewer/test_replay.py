@@ -25,7 +25,7 @@ from streamlod.server.viewer.delivery import Delivery
 from streamlod.server.viewer.follower import Follower
 from streamlod.server.viewer.pacing import LevelControl
 from streamlod.server.viewer.replay import Replay
-from tests.server.conftest import Clip, kept_from, make_clip
+from tests.server.conftest import Clip, kept_from, make_clip, running, viewing
 
 
 @pytest.fixture(scope="module")
@@ -183,3 +183,16 @@ def test_the_past_can_be_played_faster_and_slower(small: Clip) -> None:
 def test_nonsense_as_speed_is_refused(speed: object) -> None:
     with pytest.raises(SessionError, match="speed must be a number"):
         parse_control(json.dumps({"type": "set", "speed": speed}))
+
+
+def test_who_is_paused_hears_how_far_behind_they_fall(slow_clip: Clip) -> None:
+    """The window goes on growing for them, and is told with the time at which its newest was filmed."""
+    with running(Settings(), StreamSpec(play=slow_clip.path)) as server, viewing(server) as viewer:
+        viewer.hello()
+        viewer.until_version(1)
+        viewer.send(type="pause")
+        viewer.until("position")
+        at = max(viewer.decoder.versions)
+        told = [viewer.until("window")["newest_time_ns"] for _ in range(4)]
+        assert sorted(set(told)) == told
+        assert max(viewer.decoder.versions) - at < 4, "and gets no frames"
