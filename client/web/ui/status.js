@@ -27,8 +27,8 @@ export function show(said) {
   button("card-button").textContent = label ?? "";
 }
 
-const DELAYED = ["live", "stalled", "preview", "reconnecting"]; // phases in which a delay is told
-const OLD = ["preview", "reconnecting"]; // phases whose words may hold another time
+const DELAYED = ["live", "stalled", "preview", "reconnecting", "waiting"]; // phases in which a delay is told
+const OLD = ["preview", "reconnecting", "waiting"]; // phases whose words may hold another time
 
 /** The time since the picture on the screen was filmed, for live cameras; it grows while nothing new comes. */
 export class Delay {

@@ -33,8 +33,8 @@ let timeMs = 0; // presentation time of the newest frame
 let before = { version: -1, timeMs }; // of the newest picture
 /** @type {number | null} version to reach before the next picture */
 let held = null;
-/** @type {import("./messages.js").Position | null} */
-let shownAt = null;
+/** Of the newest picture: what the status said. @type {Pick<import("../stream/session.js").Status, "position" | "filmedMs" | "lagSeconds">} */
+let shown = { position: null, filmedMs: null, lagSeconds: null };
 
 /** @type {(message: FromWorker, transfer?: Transferable[]) => void} */
 const tell = (message, transfer = []) => self.postMessage(message, { transfer });
@@ -99,7 +99,8 @@ function picture() {
     ? Math.min((timeMs - before.timeMs) / source.speed, MAX_MOVE_MS) : version === before.version ? null : 0;
   before = { version, timeMs };
   const transfer = [...(order ? [order.buffer] : []), ...spans.map(({ data }) => data.buffer)];
-  const position = (shownAt = source?.session.status.position ?? null);
+  const { position = null, filmedMs = null, lagSeconds = null } = source?.session.status ?? {};
+  shown = { position, filmedMs, lagSeconds };
   tell({ type: "picture", ...result, timeMs, overMs, decodeMs, position }, /** @type {any} */ (transfer));
   questions.forEach(answer);
   questions = [];
@@ -109,7 +110,7 @@ function status() {
   if (!source) return;
   const { status } = source.session; // on the way to a version, what is shown counts
   if (file && status.source === "recording") return void playFile(file, source.token, status.loops);
-  tell({ type: "status", status: { ...status, position: held === null ? status.position : shownAt, stopping: source.stopping }, refusals, now: performance.now() });
+  tell({ type: "status", status: { ...status, ...(held === null ? {} : shown), stopping: source.stopping }, refusals, now: performance.now() });
 }
 
 let holdTimer = 0;
@@ -132,7 +133,8 @@ const handlers = { packet: decode, hold, status, sound, moments };
 /** Watch a file; what plays it is loaded now. @type {(url: string, token: string | null, loop: boolean) => Promise<void>} */
 async function playFile(url, token, loop) {
   source?.close();
-  source = file = engine = held = shownAt = null; // a file that is dropped follows another stream
+  source = file = engine = held = null; // a file that is dropped follows another stream
+  shown = { position: null, filmedMs: null, lagSeconds: null };
   keyframe = -1;
   before = { version: -1, timeMs: 0 };
   const { Recording } = await import("../stream/recording.js");
