@@ -93,6 +93,7 @@ def shots() -> list[Shot]:
         Shot("missing", Behaviour(close=(4404, "there is no such stream")), live=False),
         Shot("failed", Behaviour(close=(1009, "a message was too big")), live=False),
         Shot("reconnecting", full, stop=True),
+        Shot("reconnecting-phone", full, PHONE, stop=True),
         Shot("unreachable", Behaviour(close=(1013, "The server is full")), live=False),
         Shot("no-webgl", full, address="/?", act="no-webgl", live=False),
         Shot("embedded", full, (480, 270), address="/?embed=1"),
@@ -141,9 +142,10 @@ def act(page: Any, shot: Shot) -> None:
     """What a person does."""
     verb, _, what = shot.act.partition(":")
     if verb == "button":
+        press = page.tap if shot.size == PHONE else page.click  # a page that is touched speaks of no keys
         if shot.live and what != "#b-more" and page.locator("#b-more").is_visible():
-            page.click("#b-more")  # the tools of a small page are a sheet
-        page.click(what)
+            press("#b-more")  # the tools of a small page are a sheet
+        press(what)
     elif verb == "hover":
         page.hover(what)
         page.wait_for_timeout(1500)
@@ -170,11 +172,12 @@ def act(page: Any, shot: Shot) -> None:
         page.mouse.wheel(0, 700)
 
 
-def take(browser: Any, shot: Shot, clip: Clip, files: Path, out: Path) -> None:
-    """One picture into `out`."""
-    page = browser.new_page(
-        viewport={"width": shot.size[0], "height": shot.size[1]}, color_scheme=shot.theme, has_touch=shot.size == PHONE
-    )
+def take(browser: Any, shot: Shot, clip: Clip, files: Path, out: Path, slower: float) -> None:
+    """One picture into `out`, of a page whose processor is `slower` times slower."""
+    hand = {"has_touch": True, "is_mobile": True} if shot.size == PHONE else {}
+    page = browser.new_page(viewport={"width": shot.size[0], "height": shot.size[1]}, color_scheme=shot.theme, **hand)
+    if slower > 1:
+        page.context.new_cdp_session(page).send("Emulation.setCPUThrottlingRate", {"rate": slower})
     if shot.act == "no-webgl":
         page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
     with serving(create_app(clip, shot.behaviour, files)) as url:
@@ -214,6 +217,7 @@ def main() -> None:
     """Take all, or those whose name holds --only."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path, help="folder for the pictures")
+    parser.add_argument("--slower", type=float, default=1.0, help="times that the page's processor is slower")
     parser.add_argument("--only", default="", help="parts of the names wanted")
     parser.add_argument(
         "--scene", type=Path, metavar="FILE.slod", help="a recording to show instead of a made-up scene"
@@ -230,7 +234,7 @@ def main() -> None:
         browser = playwright.chromium.launch(executable_path=chromium_path(), args=TEST_FLAGS)
         for shot in shots():
             if any(part in shot.name for part in arguments.only.split(",")):
-                take(browser, shot, clip, files, arguments.out)
+                take(browser, shot, clip, files, arguments.out, arguments.slower)
         browser.close()
 
 

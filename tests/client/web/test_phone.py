@@ -75,6 +75,7 @@ def test_tools_hint_help_and_wake_lock(page: Any, clip: Clip) -> None:
         page.tap("#b-help")
         page.locator("#help").wait_for(**WAIT)
         assert page.locator("#help kbd").first.is_hidden()
+        assert not any(word in page.locator("#help").inner_text() for word in ("Wheel", "click", "Right"))
         page.tap("#help form button")
         page.touchscreen.tap(195, 200)
         page.locator("#tools").wait_for(state="hidden", **WAIT)
