@@ -129,18 +129,19 @@ class Bus:
         return [found[first] for first in sorted(found)]
 
     async def files(self, firsts: Collection[Position] | None = None) -> dict[Position, GroupFile]:
-        """The groups of pictures that begin at `firsts`, by default all; from disk where they are recorded.
+        """The groups of pictures that begin at `firsts`, from disk where they are recorded.
 
-        While something is recorded, what is not (early previews) does not count.
+        By default all; while something is recorded, what is not (early previews) does not count among these.
 
         Raises:
             InputError: they are too much for memory.
         """
         segments = self.recording.segments if self.recording else []
-        found: dict[Position, GroupFile] = {s.first: s.path for s in segments if s.packets}
-        found = found or {packets[0].position: packets for packets in self.window.groups()}
-        wanted = found.keys() if firsts is None else set(firsts)
-        return {first: group for first, group in found.items() if first in wanted}
+        recorded: dict[Position, GroupFile] = {s.first: s.path for s in segments if s.packets}
+        held: dict[Position, GroupFile] = {packets[0].position: packets for packets in self.window.groups()}
+        if firsts is None:
+            return recorded or held
+        return {first: group for first, group in (held | recorded).items() if first in set(firsts)}
 
     @property
     def oldest(self) -> Position | None:

@@ -138,5 +138,7 @@ def test_viewers_of_an_edge_stay_while_the_origin_becomes_another_version(
         scene = viewer.until_version(60)
         assert state_hash(scene) == state_hash(slow_long_clip.states[scene.version])
         groups = new.get("/v1/streams/main/manifest").json()["gops"]
-        assert {group["epoch"] for group in groups} == {1, 2}
-        assert all(new.get(group["path"]).status_code == 200 for group in groups)
+        recorded = {1, 2} if step == "upgrade" else {2}  # what is played is recorded no more
+        assert recorded <= {group["epoch"] for group in groups}
+        answers = {group["path"]: new.get(group["path"]).status_code for group in groups}
+        assert set(answers.values()) == {200}, answers
