@@ -32,12 +32,14 @@ class Videos:
         grid: the instants at which the cameras filmed.
         numbers: ascending, of those instants on the grid that enough cameras hold.
         offsets_ns: for each camera, nanoseconds from its file's times to the grid's.
+        one_clock: whether the files were written on one clock, so that the offsets are those of the cameras themselves.
     """
 
     files: tuple[Path, ...]
     grid: Grid
     numbers: tuple[int, ...]
     offsets_ns: tuple[int, ...]
+    one_clock: bool = False
 
     @property
     def fps(self) -> float:
@@ -80,7 +82,8 @@ def videos(files: Sequence[Path], offsets_ns: Sequence[int] | None = None) -> tu
         for info, offset_ns in zip(infos, offsets_ns, strict=True)
     ]
     grid, numbers = paired(files, infos)
-    return Videos(tuple(files), grid, numbers, tuple(offsets_ns)), infos
+    one_clock = all(info.one_clock for info in infos)
+    return Videos(tuple(files), grid, numbers, tuple(offsets_ns), one_clock), infos
 
 
 def shown(

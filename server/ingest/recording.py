@@ -14,6 +14,7 @@ from pathlib import Path
 import av
 
 from streamlod.core.camera import Camera
+from streamlod.core.data.video.file import ONE_CLOCK
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.definition import RigDefinition
 from streamlod.server.ingest.push.intake import Intake
@@ -184,6 +185,7 @@ class _Writer(threading.Thread):
     def _write_all(self) -> None:
         even = self._size[0] % 2 == 0 and self._size[1] % 2 == 0
         with av.open(str(self._file), "w", format="mp4") as container:
+            container.metadata["comment"] = ONE_CLOCK
             stream = container.add_stream("libx264", rate=Fraction(self._fps).limit_denominator(1001), options=_ENCODER)
             stream.width, stream.height = self._size
             stream.pix_fmt = "yuv420p" if even else "yuv444p"

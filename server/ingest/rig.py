@@ -11,7 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import av
 
@@ -72,6 +72,7 @@ class Rig:
     ) -> None:
         self._fps, self._paced = definition.fps, definition.realtime
         self._names = tuple(chosen)
+        self._offsets_ns = definition.offsets_ns
         self._epoch_ns: int | None = None
         self._timeline = Timeline()
         self._change = threading.Condition()
@@ -98,7 +99,8 @@ class Rig:
         sound = self._sound = None if give_sound is None else definition.sound
         self._hearing: Hearing | None = None
         if sound is not None and give_sound is not None:
-            self._hearing = Hearing(sound.name, give_sound, self._timeline, self._wait_for_pictures)
+            offset_ns = self._offsets_ns.get(sound.camera or "", 0)
+            self._hearing = Hearing(sound.name, give_sound, self._timeline, self._wait_for_pictures, offset_ns)
             if sound.camera is not None and sound.camera not in self._last:
                 self._hearing.gone("its camera is not used")
         self._readers: list[SourceThread] = [
@@ -145,6 +147,8 @@ class Rig:
 
     def put(self, picture: Picture) -> None:
         """Take a picture, from any thread; waits while an unpaced file is ahead of the others."""
+        if offset_ns := self._offsets_ns.get(picture.camera, 0):
+            picture = replace(picture, capture_ns=picture.capture_ns + offset_ns)
         with self._change:
             last = self._last[picture.camera]
             last.source, last.error_ns = picture.source, picture.error_ns

@@ -27,6 +27,7 @@ SUFFIXES = (
 )
 _HIGH_DYNAMIC_RANGE = {16: "PQ", 18: "HLG"}  # transfer characteristics of ITU-T H.273
 _log = logging.getLogger(__name__)
+ONE_CLOCK = "times are of one clock for all cameras"  # comment of a file of which this is so
 MAX_PICTURES = 4_000_000  # of a file: a day and a half at 30 a second
 
 
@@ -38,12 +39,14 @@ class VideoInfo:
         width, height: of its pictures in pixels, upright.
         fps: pictures a second where it is not interrupted.
         times_ns: when each picture that can be shown was taken, ascending, from the file's beginning.
+        one_clock: whether other cameras' files of the same recording have the same beginning and clock.
     """
 
     width: int
     height: int
     fps: float
     times_ns: tuple[int, ...]
+    one_clock: bool = False
 
     @property
     def frame_count(self) -> int:
@@ -62,6 +65,7 @@ def probe_video(path: Path) -> VideoInfo:
         size = path.stat().st_size
         if any(entry.pos + entry.size > size for entry in stream.index_entries):
             raise InputError(path, "ends before its last picture; the file is cut short, copy it again")
+        one_clock = container.metadata.get("comment") == ONE_CLOCK
         rate = _declared_rate(stream, path)
         times, found = PictureTimes(container, stream, rate), []
         try:
@@ -79,7 +83,7 @@ def probe_video(path: Path) -> VideoInfo:
     fps = rate_of(found, rate)
     if not MIN_RATE <= fps <= MAX_RATE:
         raise InputError(path, f"has {fps:g} pictures a second; rates of {MIN_RATE:g} to {MAX_RATE:g} can be used")
-    return VideoInfo(width, height, fps, tuple(found))
+    return VideoInfo(width, height, fps, tuple(found), one_clock)
 
 
 def read_video(path: Path) -> Generator[tuple[int, av.VideoFrame], None, None]:

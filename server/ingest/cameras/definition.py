@@ -12,9 +12,10 @@ cameras need a name and a source only.
 from __future__ import annotations
 
 import json
+import logging
 from codecs import BOM_UTF8
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,12 +25,16 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from streamlod.core.camera import Camera
 from streamlod.core.camera.space import UNCHANGED, Similarity, training_space
 from streamlod.core.data import open_dataset
+from streamlod.core.data.dataset import RawRecording
 from streamlod.core.data.files import read_bytes
 from streamlod.core.data.pictures import MAX_SIDE
+from streamlod.core.data.sources import Videos
 from streamlod.core.errors import InputError
 from streamlod.core.frames import PointCloud
 from streamlod.server.ingest.cameras.address import Address, parse_address
 from streamlod.server.ingest.cameras.sound_source import SoundSource, choose_sound
+
+_LOG = logging.getLogger(__name__)
 
 MAX_CAMERAS = 255  # of a scene header (codec/FORMAT.md)
 _MAX_BYTES = 1 << 20
@@ -80,6 +85,8 @@ class RigDefinition:
         depth_bounds: nearest and farthest depth of the scene in the calibration's units, or none.
         read_points: reads the points that came with the calibration into a space, or none.
         sound: what is heard; None for nothing.
+        offsets_ns: nanoseconds that are added to the times of a camera's pictures, by its name: what a board walk that
+            these cameras recorded live has shown. Cameras that are not named have none.
     """
 
     path: Path
@@ -92,6 +99,7 @@ class RigDefinition:
     depth_bounds: tuple[float, float] | None = None
     read_points: Callable[[Similarity], PointCloud] | None = None
     sound: SoundSource | None = None
+    offsets_ns: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def sound_name(self) -> str:
@@ -120,16 +128,18 @@ def read_definition(source: Path | dict[str, Any]) -> RigDefinition:
         raise InputError(path, "realtime can be false only where all sources are files")
     if file.calibration is None:
         cameras = calibrated = tuple(_camera(path, entry) for entry in file.cameras)
-        read_points = None
+        read_points, offsets = None, dict[str, int]()
     else:
         recording = open_dataset(path.parent / file.calibration).recording
         calibrated, read_points = recording.cameras, recording.read_points
         known = {camera.name: camera for camera in calibrated}
         cameras = tuple(_known(path, entry, known) for entry in file.cameras)
-        bounds = bounds or recording.depth_bounds
+        bounds, offsets = bounds or recording.depth_bounds, _offsets(recording)
     space = training_space(calibrated, bounds)
     sound = _sound(path, file, addresses)
-    return RigDefinition(path, cameras, addresses, file.fps, quorum, space, file.realtime, bounds, read_points, sound)
+    return RigDefinition(
+        path, cameras, addresses, file.fps, quorum, space, file.realtime, bounds, read_points, sound, offsets
+    )
 
 
 def read_uncalibrated(path: Path) -> RigDefinition:
@@ -165,6 +175,17 @@ def _read(source: Path | dict[str, Any]) -> tuple[Path, _File]:
         double = next(name for name in names if names.count(name) > 1)
         raise InputError(path, f"describes two cameras called {double}; give each a name of its own")
     return path, file
+
+
+def _offsets(walk: RawRecording) -> dict[str, int]:
+    """Offsets of the cameras that a walk recorded on one clock has shown; none if files began apart."""
+    if not isinstance(walk.source, Videos) or not walk.source.one_clock:
+        return {}
+    names = (camera.name for camera in walk.cameras)
+    offsets = {name: offset for name, offset in zip(names, walk.source.offsets_ns, strict=True) if offset}
+    for name, offset in offsets.items():
+        _LOG.info("camera %s: its pictures count %+.0f ms, as its walk has shown", name, offset / 1e6)
+    return offsets
 
 
 def _addresses(path: Path, file: _File) -> tuple[Address, ...]:

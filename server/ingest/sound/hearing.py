@@ -31,6 +31,7 @@ class Hearing:
         give: takes each piece.
         timeline: the rig's.
         wait: called with the time of sound that is to be given on; waits where that is too early.
+        offset_ns: nanoseconds that are added to the times of the sound, as to those of its camera's pictures.
 
     Attributes:
         reached_ns: time of the newest sound that came; later than any once none comes.
@@ -42,9 +43,10 @@ class Hearing:
         give: Callable[[SoundPiece], None],
         timeline: Timeline,
         wait: Callable[[int], None] = lambda _: None,
+        offset_ns: int = 0,
     ) -> None:
         self.source = source
-        self._give, self._timeline, self._wait = give, timeline, wait
+        self._give, self._timeline, self._wait, self._offset_ns = give, timeline, wait, offset_ns
         self._lock = threading.Lock()
         self._placer: Placer | None = None
         self._encoder: SoundEncoder | None = None
@@ -56,6 +58,7 @@ class Hearing:
 
     def put(self, frame: av.AudioFrame, capture_ns: int) -> None:
         """Sound has come, whose first sample was recorded at `capture_ns`."""
+        capture_ns += self._offset_ns
         self.reached_ns = capture_ns
         self._wait(capture_ns)
         with self._lock:

@@ -56,6 +56,7 @@ def write_video(
     time_base: Fraction | None = None,
     options: Mapping[str, str] = MappingProxyType({}),
     muxing: Mapping[str, str] = MappingProxyType({}),
+    comment: str = "",
 ) -> None:
     """A video of [H,W,3] RGB pictures, nearly lossless, in 4:4:4.
 
@@ -65,6 +66,7 @@ def write_video(
     """
     base = Fraction(1, fps) if time_base is None else time_base
     with av.open(str(path), "w", options=dict(muxing)) as container:
+        container.metadata["comment"] = comment
         stream = container.add_stream(codec, rate=Fraction(fps))
         stream.height, stream.width = pictures[0].shape[:2]
         stream.pix_fmt = "yuv420p" if codec == "mpeg4" else "yuv444p"

@@ -18,6 +18,7 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from streamlod.core.calibration.walk import open_walk
+from streamlod.core.data.video.file import probe_video
 from streamlod.core.errors import InputError
 from streamlod.server.auth.gate import hash_token
 from streamlod.server.cli.check import check
@@ -175,6 +176,7 @@ def test_phones_are_recorded_on_one_clock(tmp_path: Path) -> None:
     assert any("all 3 cameras at one instant" in line for line in said)
     with pytest.raises(InputError, match="not empty"):
         watch(rig, tmp_path / "walk", 3.0, settings, say, overwrite=False)
+    assert all(probe_video(file).one_clock for file in (tmp_path / "walk").glob("*.mp4"))
     footage = {each.camera: each for each in open_walk(tmp_path / "walk")}
     assert footage.keys() == {"cam1", "phone1", "phone2"}
     starts = []

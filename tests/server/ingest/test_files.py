@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -10,10 +11,11 @@ import numpy as np
 import pytest
 
 from streamlod.core.arrays import UInt8
+from streamlod.core.data.video.file import ONE_CLOCK
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.live import open_live
-from tests.core.data.writers import copy_video, put_display_matrix, write_video
-from tests.server.ingest.rig import burnt, number_of, write_definition
+from tests.core.data.writers import copy_video, put_display_matrix, rig, write_transforms, write_video
+from tests.server.ingest.rig import FPS, burnt, number_of, write_definition
 
 PICTURES = [burnt(number) for number in range(12)]
 GROUPS = {"g": "4", "x264-params": "scenecut=0"}
@@ -61,6 +63,25 @@ def test_files_of_all_kinds_are_paired_by_their_times(tmp_path: Path) -> None:
     assert [row for row in seen if row[2] is not None and row[2] >= 4] == [
         [None if t == 6 else t, t, t, t] for t in range(4, 12)
     ]
+
+
+@pytest.mark.parametrize(("comment", "late"), [(ONE_CLOCK, 2), ("", 0)])
+def test_offsets_of_a_walk_on_one_clock_hold_live_too(tmp_path: Path, comment: str, late: int) -> None:
+    """Those of files that were started apart do not."""
+    walk = tmp_path / "walk"
+    walk.mkdir()
+    for name in "ab":
+        _write(walk / f"{name}.mp4", comment=comment)
+    cameras = rig(["a", "b"], (PICTURES[0].shape[1], PICTURES[0].shape[0]))
+    write_transforms(walk, ["a.mp4", "b.mp4"], cameras)
+    found = json.loads((walk / "transforms.json").read_text())
+    found["frames"][1]["time_offset"] = 2 / FPS
+    (walk / "transforms.json").write_text(json.dumps(found))
+    entries = [{"name": name, "source": f"walk/{name}.mp4"} for name in "ab"]
+    live = tmp_path / "rig.json"
+    live.write_text(json.dumps({"fps": FPS, "calibration": "walk", "realtime": False, "cameras": entries}))
+    seen = [[number_of(image) for image in frame.images] for frame in open_live(live).frames() if frame.present.all()]
+    assert seen == [[t, t - late] for t in range(late, 12)]
 
 
 def test_files_that_begin_or_pause_long_after_the_others(tmp_path: Path) -> None:
