@@ -5,7 +5,8 @@
 
 Without `--test` all cameras train. Prints PSNR as shown, at the best exposure, and SSIM at each place; beside the
 cameras only for synthetic data, of which it is known what is seen there. `--plain` trains plain Gaussians on the same
-points for the same CPU seconds. `--set opacity_weight=0` and the like change one choice; `--out DIR` saves pictures
+points for the same CPU seconds. Of ours, also what each level and those coarser than it are worth at the cameras, and
+their bytes. `--set opacity_weight=0` and the like change one choice; `--out DIR` saves pictures
 with the truth on the left, at the cameras and, of synthetic data, beside them.
 """
 
@@ -32,6 +33,8 @@ from streamlod.core.camera.space import UNCHANGED, Similarity
 from streamlod.core.data import linspace_split, open_dataset
 from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.core.initialise import first_points
+from streamlod.core.metrics import psnr
+from streamlod.core.scene.anchors import Scene, empty_level
 from streamlod.core.synthetic import SyntheticSpec, read_spec, render_view
 from streamlod.core.train import Trainer, preset
 from tests.bench.first_frame_bench import changed
@@ -104,6 +107,20 @@ def show(title: str, picture: Callable[[Camera], UInt8], subject: Subject, out: 
     print(flush=True)
 
 
+def show_levels(scene: Scene, subject: Subject) -> None:
+    """Print what a viewer sees at the cameras who has received the levels up to each, and what they take."""
+    header, count = scene.header, len(scene.levels)
+    empty = empty_level(header.feature_steps.size, header.gaussians_per_anchor)
+    whole = len(encode_keyframe(scene, time_ns=0))
+    for highest in range(count):
+        cut = replace(scene, levels=scene.levels[: highest + 1] + (empty,) * (count - 1 - highest))
+        share = len(encode_keyframe(cut, time_ns=0)) / whole
+        quality = [
+            psnr(draw(cut, camera), truth) for camera, truth in zip(subject.cameras, subject.frame.images, strict=True)
+        ]
+        print(f"  levels up to {highest}: {100 * share:3.0f} % of the bytes, {np.mean(quality):.2f} dB at the cameras")
+
+
 def save(label: str, picture: Callable[[Camera], UInt8], subject: Subject, folder: Path) -> None:
     """What is seen at the cameras, and beside them where that is known, truth on the left."""
     shown = [(camera.name, camera, truth) for camera, truth in zip(subject.cameras, subject.frame.images, strict=True)]
@@ -145,6 +162,7 @@ def main() -> None:
         levels = "+".join(str(len(level)) for level in scene.levels)
         size = f"{levels} anchors, {len(encode_keyframe(scene, time_ns=0)) / 1000:.0f} kB, {seconds:.0f} CPU s"
         show(f"{options.preset} seed {seed}: {size}", partial(draw, scene), subject, options.out)
+        show_levels(scene, subject)
         if options.plain:
             model = PlainGaussians(subject.points, plain_views(subject.frame, subject.cameras), seed=seed)
             steps = model.train(seconds)
