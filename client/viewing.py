@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections.abc import Callable
 from contextlib import aclosing
 from pathlib import Path
@@ -22,6 +23,7 @@ from streamlod.core.scene.anchors import SceneHeader
 from streamlod.core.scene.interpolate import can_interpolate, interpolate
 
 _log = logging.getLogger(__name__)
+_WHOLE_SECONDS = 10.0  # that the first picture may wait for all levels of its scene
 _QUIET_SECONDS = 2.0  # a stream that has ended is over when no packet comes for so long
 
 Tell = Callable[[str], None]
@@ -37,6 +39,8 @@ async def record_stream(
     fps: float | None = None,
 ) -> int:
     """Record each state that arrives as one frame of the stream, until there are `frames` pictures or it is over.
+
+    It begins with the first state of which all levels are here, which come one after the other, or after ten seconds.
 
     At the stream's own rate there is one picture for each state. At another rate, pictures that fall between two states
     show what lies between them (`core.scene.interpolate`), or the earlier one where a keyframe comes between.
@@ -55,7 +59,7 @@ async def record_stream(
         InputError: no server answers, the viewpoint does not exist, or nothing could be recorded.
         SessionError: the server refuses us or breaks the protocol.
     """
-    take = _Take(out, viewpoint, frames, fps, tell)
+    take = _Take(out, viewpoint, frames, fps, tell, None if options is None else options.levels)
     try:
         async with aclosing(watch(url, options or WatchOptions())) as events:
             while not take.is_full:
@@ -65,6 +69,7 @@ async def record_stream(
                 except (StopAsyncIteration, TimeoutError):
                     break
                 await take.handle(event)
+        await take.draw_kept()
     except BaseException as error:
         take.close(error)
         raise
@@ -89,8 +94,12 @@ class _Take:
         frames: int | None,
         fps: float | None,
         tell: Tell,
+        levels: int | None,
     ) -> None:
         self._out, self._viewpoint, self._frames, self._fps, self._tell = out, viewpoint, frames, fps, tell
+        self._levels = levels  # asked for; None for all
+        self._kept: NewScene | None = None  # the newest state without all levels, before the first picture
+        self._begin_by = float("inf")
         self._splatter = Splatter()
         self._recorder: Recorder | None = None
         self._path: CameraPath | None = None
@@ -114,7 +123,7 @@ class _Take:
     @property
     def is_over(self) -> bool:
         """Whether the stream has ended and its last scene is here."""
-        return self._ended and self.newest is not None
+        return self._ended and (self.newest or self._kept) is not None
 
     def moves(self) -> bool:
         """Whether the next picture would be taken from another viewpoint than the last one."""
@@ -126,7 +135,8 @@ class _Take:
     async def handle(self, event: Event) -> None:
         """Draw a new scene; report other events."""
         if isinstance(event, NewScene):
-            await self.draw(event)
+            if not self._is_awaited(event):
+                await self.draw(event)
         elif isinstance(event, Welcome):
             self.has_sound = event.has_sound
             self._ended = event.state == "ended"
@@ -140,6 +150,21 @@ class _Take:
             self.has_sound = True
         elif isinstance(event, Notice) and event.name == "progress":
             self._tell(f"first frame {100 * float(event.fields.get('fraction') or 0):.0f} %")
+
+    def _is_awaited(self, event: NewScene) -> bool:
+        """Whether more levels of a first state are to come soon."""
+        count = len(event.scene.levels)
+        now = time.monotonic()
+        if self.count > 0 or event.levels >= min(count, self._levels or count) or now > self._begin_by:
+            return False
+        self._begin_by = min(self._begin_by, now + _WHOLE_SECONDS)
+        self._kept = event
+        return True
+
+    async def draw_kept(self) -> None:
+        """Draw what is here of a stream that was over before all levels of a state were."""
+        if self.newest is None and self._kept is not None:
+            await self.draw(self._kept)
 
     async def draw(self, event: NewScene) -> None:
         """The pictures after the state before, up to and with the moment of this one."""

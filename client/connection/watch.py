@@ -6,10 +6,10 @@ import asyncio
 import logging
 import random
 from collections.abc import AsyncGenerator
-from urllib.parse import urlsplit
 
 from websockets.exceptions import ConnectionClosed, InvalidStatus, InvalidURI, WebSocketException
 
+from streamlod.client.connection.address import live_address
 from streamlod.client.connection.edges import at_edges, edges_of, nearest
 from streamlod.client.connection.link import WatchOptions
 from streamlod.client.connection.moving_link import MovingLink
@@ -32,14 +32,14 @@ async def watch(url: str, options: WatchOptions = _LIVE, attempts: int = 11) -> 
     named edges, it goes on at the nearest of them that answers, and at the server itself if that one refuses us.
 
     Args:
+        url: of the stream's websocket, or of the page that shows it.
         attempts: failures in a row after which to give up. The very first attempt at `url` must succeed.
 
     Raises:
-        InputError: not a websocket address, or nobody answers there.
+        InputError: no address of a stream, or nobody answers there.
         SessionError: the server at `url` refuses us, or breaks the protocol twice in a row.
     """
-    if urlsplit(url).scheme not in {"ws", "wss"}:
-        raise InputError(url, "is not a websocket address; it looks like ws://HOST:PORT/v1/streams/main/live")
+    url = live_address(url)
     failures, ever, start = 0, False, options.start
     edges: tuple[str, ...] = at_edges(url, await edges_of(url, options.token)) if options.nearest else ()
     place = await nearest(edges) or url

@@ -16,6 +16,7 @@ import streamlod.client.connection.edges
 import streamlod.client.connection.moving_link
 import streamlod.client.connection.watch
 import streamlod.client.playback
+from streamlod.client.connection.address import live_address
 from streamlod.client.connection.link import SUBPROTOCOL, WatchOptions
 from streamlod.client.connection.watch import back_off, watch
 from streamlod.client.events import Disconnected, Event, NewScene, Notice, Welcome
@@ -274,7 +275,7 @@ def test_nobody_there_and_wrong_addresses() -> None:
         async with aclosing(watch(url)) as events:
             await anext(events)
 
-    for url in ("ws://127.0.0.1:9/v1", "http://127.0.0.1/", "ws://", "main"):
+    for url in ("ws://127.0.0.1:9/v1", "ws://", "main"):
         with pytest.raises(InputError) as caught:
             asyncio.run(first(url))
         assert url in str(caught.value)
@@ -286,3 +287,22 @@ def test_back_off_is_short_four_times_then_doubles_to_a_limit_with_jitter(monkey
         delays = [back_off(failures) for _ in range(50)]
         assert longest / 2 <= min(delays) <= max(delays) <= longest
         assert len(set(delays)) > 10
+
+
+@pytest.mark.parametrize(
+    ("given", "address"),
+    [
+        ("ws://a:1/v1/streams/x/live?t=1", "ws://a:1/v1/streams/x/live?t=1"),
+        ("http://a:8000", "ws://a:8000/v1/streams/main/live"),
+        ("http://a:8000/?stream=stage%201&pose=3", "ws://a:8000/v1/streams/stage%201/live"),
+        ("https://a/hall/index.html?stream=b", "wss://a/hall/v1/streams/b/live"),
+    ],
+)
+def test_the_pages_address_leads_to_its_stream(given: str, address: str) -> None:
+    assert live_address(given) == address
+
+
+@pytest.mark.parametrize("given", ["a:8000", "ftp://a/b", ""])
+def test_other_addresses_are_refused(given: str) -> None:
+    with pytest.raises(InputError, match="is not a websocket address"):
+        live_address(given)

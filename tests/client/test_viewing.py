@@ -16,6 +16,7 @@ from websockets.asyncio.server import ServerConnection, serve
 from streamlod.client.connection.link import SUBPROTOCOL
 from streamlod.client.viewing import record_stream
 from streamlod.codec.encoder import encode_keyframe
+from streamlod.codec.packet.levels import split_levels
 from streamlod.core.arrays import UInt8
 from streamlod.core.render.splatter import draw_cloud
 from streamlod.core.scene.anchors import Scene
@@ -65,6 +66,19 @@ def drawn(scene: Scene, after: Scene | None = None, share: float = 0) -> UInt8:
     camera = scene.header.cameras[2]
     cloud = expand(scene, camera.centre) if after is None else interpolate(scene, after, share, camera.centre)
     return draw_cloud(cloud, camera, scene.header.background)
+
+
+def test_the_first_picture_has_all_levels(tmp_path: Path) -> None:
+    scenes = states(2)
+    key, residual = packets(scenes)
+    assert recorded([*split_levels(key), residual], tmp_path / "seen") == 2
+    for picture, scene in zip(shown(tmp_path / "seen"), scenes, strict=True):
+        np.testing.assert_array_equal(picture, drawn(scene))
+
+
+def test_a_stream_that_ends_before_all_levels_came_is_still_seen(tmp_path: Path) -> None:
+    coarse, *_ = split_levels(packets(states(1))[0])
+    assert recorded([coarse], tmp_path / "seen") == 1
 
 
 def test_a_picture_for_each_state(tmp_path: Path) -> None:
