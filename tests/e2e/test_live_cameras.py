@@ -41,7 +41,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in CAMERAS:
         command = ["ffmpeg", "-nostdin", "-loglevel", "error", "-stream_loop", "119", "-i", str(folder / f"{name}.mp4")]
         encode = ["-c:v", "libx264", "-preset", "ultrafast", "-tune", "zerolatency", "-g", "15", "-crf", "20"]
-        subprocess.run([*command, *encode, "-f", "mpegts", str(folder / f"{name}.ts")], check=True)
+        subprocess.run([*command, *encode, "-f", "mpegts", str(folder.parent / f"{name}.ts")], check=True)
     return folder
 
 
@@ -69,7 +69,7 @@ def is_live(stream: dict[str, Any]) -> bool:
 def test_rtsp_cameras_are_trained_through_their_faults_and_the_workers_death(film: Path, tmp_path: Path) -> None:
     ports = free_ports(4)
     rig = write_rig(tmp_path, film, [f"rtsp+listen://127.0.0.1:{port}/live" for port in ports])
-    clips = [film / f"{name}.ts" for name in CAMERAS]
+    clips = [film.parent / f"{name}.ts" for name in CAMERAS]
     with (
         ThreadPoolExecutor(1) as pool,
         serving("--live", rig, "--state-dir", tmp_path / "state") as (server, port),
