@@ -30,7 +30,10 @@ def push(
 
 @app.command()
 def view(
-    url: Annotated[str, typer.Argument(metavar="ws://HOST:PORT/v1/streams/ID/live", help="A live stream, or the address of its page.")],
+    url: Annotated[
+        str,
+        typer.Argument(metavar="ws://HOST:PORT/v1/streams/ID/live", help="A live stream, or the address of its page."),
+    ],
     out: Annotated[Path, typer.Option(metavar="DIR|FILE.mp4", help="Folder of PNGs, or a video.")],
     camera: Annotated[str | None, typer.Option(metavar="cam00", help="Stand at a camera of the rig.")] = None,
     orbit: Annotated[bool, typer.Option("--orbit", help="Circle inside the rig.")] = False,
