@@ -8,7 +8,9 @@ from streamlod.core.errors import InputError
 
 
 def live_address(url: str) -> str:
-    """The websocket of a stream; of the page (`http://HOST:PORT/?stream=ID`), that of the stream which it shows.
+    """The websocket of a stream, from its own address, that of the page (`http://HOST:PORT/?stream=ID`) or of REST.
+
+    Where the page's address names no stream, it is `main`.
 
     Raises:
         InputError: neither.
@@ -18,7 +20,11 @@ def live_address(url: str) -> str:
         return url
     if parts.scheme not in {"http", "https"}:
         raise InputError(url, "is not a websocket address; it looks like ws://HOST:PORT/v1/streams/main/live")
-    stream = parse_qs(parts.query).get("stream", ["main"])[0]
-    folder = parts.path.rpartition("/")[0]  # of a proxy, or empty
-    path = f"{folder}/v1/streams/{quote(stream, safe='')}/live"
+    folder, found, rest = parts.path.partition("/v1/streams/")  # before it, what a proxy adds
+    if found:
+        stream = rest.partition("/")[0]
+    else:
+        folder = folder.rpartition("/")[0]
+        stream = quote(parse_qs(parts.query).get("stream", ["main"])[0], safe="")
+    path = f"{folder}/v1/streams/{stream}/live"
     return urlunsplit((parts.scheme.replace("http", "ws"), parts.netloc, path, "", ""))

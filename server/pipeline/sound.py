@@ -15,7 +15,6 @@ from streamlod.core.errors import InputError
 
 _LOG = logging.getLogger(__name__)
 AUTO, NONE = "auto", "none"
-_SILENT = "no sound of"
 _LATE_S = 1.5
 
 
@@ -70,8 +69,12 @@ def sound_faults(dataset: Dataset) -> list[str]:
     """A sentence for each camera whose microphone is silent over the whole recording, or heard late only."""
     recording, seconds = dataset.recording, _seconds(dataset)
     films = [(camera.name, recording.source.film(row)) for row, camera in enumerate(recording.cameras)]
-    found = [_fault(name, film, seconds) for name, film in films if film is not None and _usable(film) is not None]
-    return [fault for fault in found if fault]
+    begins = {
+        name: silent_seconds(film.path, film.begin_ns, seconds)
+        for name, film in films
+        if film is not None and _usable(film) is not None
+    }
+    return [fault for name, begin in begins.items() if (fault := _fault(name, begin))]
 
 
 def write_beside(out: Path, sound: FilmedSound | None, seconds: float) -> None:
@@ -103,19 +106,18 @@ def _seconds(dataset: Dataset) -> float:
 
 def _listened(name: str, film: Film, seconds: float) -> bool:
     """Whether a film is heard at all; what is wrong with its sound is logged."""
-    fault = _fault(name, film, seconds)
-    if fault:
+    begin = silent_seconds(film.path, film.begin_ns, seconds)
+    if fault := _fault(name, begin):
         _LOG.warning("%s", fault)
-    return not fault.startswith(_SILENT)
+    return begin is not None
 
 
-def _fault(name: str, film: Film, seconds: float) -> str:
-    """The fault of a film's sound within `seconds`, in a sentence; empty without one."""
-    silent = silent_seconds(film.path, film.begin_ns, seconds)
-    if silent is None:
-        return f"{_SILENT} {name}: it recorded silence; was it muted, or had it no power?"
-    if silent > _LATE_S:
-        return f"the sound of {name} starts {silent:.1f} s after its pictures; until then there is silence"
+def _fault(name: str, begin: float | None) -> str:
+    """A sentence about sound that is first heard after `begin` seconds, None: never; empty if nothing is wrong."""
+    if begin is None:
+        return f"no sound of {name}: it recorded silence; was it muted, or had it no power?"
+    if begin > _LATE_S:
+        return f"the sound of {name} starts {begin:.1f} s after its pictures; until then there is silence"
     return ""
 
 

@@ -33,7 +33,7 @@ from streamlod.server.viewer.together import Companion
 
 _LOG = logging.getLogger(__name__)
 _TICK_SECONDS = 1.0
-_WINDOW_SECONDS = 0.25  # between two window events while there is something new
+_GROWN_SECONDS = 0.25  # between two window events to who is not live, while there is something new
 _MAX_LEVELS = 64
 
 
@@ -223,7 +223,7 @@ class ViewerSession:
             await self.wake.wait()
             return
         now = time.monotonic()
-        wait = _TICK_SECONDS if self._window_sent == self._stream.newest else _WINDOW_SECONDS
+        wait = self._window_pause
         if self._delivery.free_at > now:
             wait = min(wait, self._delivery.free_at - now)
         if self._playhead.mode == "replay" and (due := self._replay.seconds_to_next(now)) is not None:
@@ -253,14 +253,18 @@ class ViewerSession:
             return False
         return await self._sound.step(is_live=self._playhead.mode == "live") or await self._go_on(now)
 
+    @property
+    def _window_pause(self) -> float:
+        """Seconds between two window events; who is live is sent what is new anyway."""
+        is_soon = self._playhead.mode != "live" and self._window_sent != self._stream.newest
+        return _GROWN_SECONDS if is_soon else _TICK_SECONDS
+
     async def _tell_window(self, now: float) -> None:
-        """Say what can be sought, also to who is paused: soon where it has grown, else about once a second."""
-        newest = self._stream.newest
-        pause = _TICK_SECONDS if newest == self._window_sent else _WINDOW_SECONDS
-        if now - self._window_sent_at < pause or self._delivery.must_wait(now):
+        """Say what can be sought, also to who is paused."""
+        if now - self._window_sent_at < self._window_pause or self._delivery.must_wait(now):
             return
         if self._stream.window is not None:
-            self._window_sent_at, self._window_sent = now, newest
+            self._window_sent_at, self._window_sent = now, self._stream.newest
             await self._delivery.send_event(event("window", **self._stream.window))
 
     async def _go_on(self, now: float) -> bool:

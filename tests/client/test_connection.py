@@ -295,6 +295,8 @@ def test_back_off_is_short_four_times_then_doubles_to_a_limit_with_jitter(monkey
         ("ws://a:1/v1/streams/x/live?t=1", "ws://a:1/v1/streams/x/live?t=1"),
         ("http://a:8000", "ws://a:8000/v1/streams/main/live"),
         ("http://a:8000/?stream=stage%201&pose=3", "ws://a:8000/v1/streams/stage%201/live"),
+        ("http://a:8000/v1/streams/b", "ws://a:8000/v1/streams/b/live"),
+        ("https://a/hall/v1/streams/b%201/live?x=1", "wss://a/hall/v1/streams/b%201/live"),
         ("https://a/hall/index.html?stream=b", "wss://a/hall/v1/streams/b/live"),
     ],
 )
