@@ -19,7 +19,7 @@ def live_address(url: str) -> str:
     if parts.scheme in {"ws", "wss"}:
         return url
     if parts.scheme not in {"http", "https"}:
-        raise InputError(url, "is not a websocket address; it looks like ws://HOST:PORT/v1/streams/main/live")
+        raise InputError(url, "is no stream; it looks like http://HOST:PORT or ws://HOST:PORT/v1/streams/main/live")
     folder, found, rest = parts.path.partition("/v1/streams/")  # before it, what a proxy adds
     if found:
         stream = rest.partition("/")[0]

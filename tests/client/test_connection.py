@@ -306,5 +306,5 @@ def test_the_pages_address_leads_to_its_stream(given: str, address: str) -> None
 
 @pytest.mark.parametrize("given", ["a:8000", "ftp://a/b", ""])
 def test_other_addresses_are_refused(given: str) -> None:
-    with pytest.raises(InputError, match="is not a websocket address"):
+    with pytest.raises(InputError, match="is no stream"):
         live_address(given)
