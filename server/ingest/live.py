@@ -26,6 +26,7 @@ from streamlod.core.errors import InputError
 from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.server.ingest.ahead import just_in_time
 from streamlod.server.ingest.cameras.definition import RigDefinition, read_definition
+from streamlod.server.ingest.knocks import Knocks
 from streamlod.server.ingest.push.intake import Intake
 from streamlod.server.ingest.push.relay import listening
 from streamlod.server.ingest.rig import Rig
@@ -164,6 +165,7 @@ class LiveDataset:
             if self.definition.realtime:
                 found = stack.enter_context(closing(just_in_time(undistort, lambda _: rig.note_stale())))
             first: Instant | None = None
+            knocks = Knocks(len(self.cameras))
             while index != stop:
                 rig.waiting = True
                 newest = next(found, None)
@@ -176,6 +178,10 @@ class LiveDataset:
                 latency_ns = rig.note_delivery(instant)
                 first = instant if first is None else first
                 time_ns = first.capture_ns + round((instant.number - first.number) * period_of(self.fps))
+                knocks.look(images, present, pool)
+                rig.note_shifts(knocks.shifts, knocked := knocks.knocked)
+                if (present & ~knocked).any():  # what it shows is not where its pose says
+                    present = present & ~knocked
                 yield FrameSet(index, time_ns, images, present, latency_ns)
                 index += 1
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import av
 
 from streamlod.codec.mp4.sound import SoundPiece
+from streamlod.core.arrays import Bool
 from streamlod.core.camera.grid import period_of
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.definition import RigDefinition
@@ -46,6 +47,8 @@ class _Last:
     connections: int = 0
     fault: str = ""
     refused: str = ""  # why its newest picture could not be used
+    shift: float | None = None  # pixels that its picture has moved, at a width of 1000
+    knocked: bool = False
     ended: bool = False
     put: int = 0
     newest_ns: int | None = None
@@ -252,6 +255,15 @@ class Rig:
                 _LOG.warning("camera %s: %s", camera, fault)
             self._last[camera].refused = fault
 
+    def note_shifts(self, shifts: Sequence[float | None], knocked: Bool) -> None:
+        """How far each camera's picture has moved since it is read, and which were knocked, see `knocks`."""
+        with self._change:
+            for name, pixels, is_knocked in zip(self._names, shifts, knocked, strict=True):
+                last = self._last[name]
+                if is_knocked and not last.knocked:
+                    _LOG.warning("camera %s was knocked: its picture has moved by %.0f of 1000 pixels", name, pixels)
+                last.shift, last.knocked = pixels, bool(is_knocked)
+
     def failure(self) -> InputError | None:
         """Why a rig of files has given out nothing, if a file is at fault."""
         with self._change:
@@ -274,7 +286,16 @@ class Rig:
                 clock, connections = clocks.get(name, (None, 0))
                 drift = 0.0 if clock is None else clock.drift_ppm
                 cameras[name] = CameraStatistics(
-                    states[name], last.source, last.error_ns, drift, counts[name], connections, last.fault, last.refused
+                    states[name],
+                    last.source,
+                    last.error_ns,
+                    drift,
+                    counts[name],
+                    connections,
+                    last.fault,
+                    last.refused,
+                    last.shift,
+                    last.knocked,
                 )
             return Statistics(
                 self._synchroniser.is_degraded(now),

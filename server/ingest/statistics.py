@@ -12,7 +12,9 @@ from streamlod.server.ingest.sync.synchroniser import CameraState, Counts
 class CameraStatistics:
     """How one camera does: state, what its time rests on, drift of its clock, counters, connections, last fault.
 
-    `refused` says why its newest picture could not be used for training, and is empty when it could.
+    `refused` says why its newest picture could not be used for training, and is empty when it could. `shift` is how far
+    what it sees has moved in its picture since it is read, in pixels at a width of 1000, None where that is not known;
+    a camera that was `knocked` is not trained on.
     """
 
     state: CameraState
@@ -23,6 +25,8 @@ class CameraStatistics:
     connections: int
     fault: str
     refused: str = ""
+    shift: float | None = None
+    knocked: bool = False
 
 
 @dataclass(frozen=True, slots=True)

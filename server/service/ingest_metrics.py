@@ -21,6 +21,7 @@ _OF_RIGS: tuple[Family, ...] = (
 )
 _OF_CAMERAS: tuple[Family, ...] = (
     (_GAUGE, "camera_lost", lambda one: one["state"] == "lost", "1 while a camera delivers nothing"),
+    (_GAUGE, "camera_knocked", lambda one: one["knocked"], "1 while it does not stand as it did when it was opened"),
     (_GAUGE, "camera_skew_seconds", lambda one: one["counts"]["skew_ns"] / 1e9, "distance of pictures from the grid"),
     (_GAUGE, "camera_clock_error_seconds", lambda one: one["error_ns"] / 1e9, "how far off its times may be"),
     (_GAUGE, "camera_drift_ppm", lambda one: one["drift_ppm"], "how much slower its clock runs than the wall's"),

@@ -8,7 +8,7 @@ from streamlod.server.ingest.sync.synchroniser import CameraState
 
 
 def complaint(figures: dict[str, Any]) -> str:
-    """Which cameras deliver nothing that can be used, and why, in a sentence; empty where none is.
+    """Which cameras deliver nothing that can be used, and why, in sentences; empty where none is.
 
     Args:
         figures: `server.ingest.statistics.Statistics` in JSON, as `Tag.INGEST` has them.
@@ -17,6 +17,11 @@ def complaint(figures: dict[str, Any]) -> str:
     lost = {name: one["fault"] for name, one in cameras.items() if one["state"] == CameraState.LOST}
     parts = [
         f"camera {name} {one['refused']}" for name, one in cameras.items() if name not in lost and one.get("refused")
+    ]
+    parts += [
+        f"camera {name} was knocked: put it back or calibrate again; until then the stream goes on without it"
+        for name, one in cameras.items()
+        if name not in lost and one.get("knocked")
     ]
     if lost:
         faults = sorted({fault for fault in lost.values() if fault})

@@ -10,7 +10,7 @@ import math
 import multiprocessing
 import threading
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -165,9 +165,12 @@ def test_a_failing_encoder_ends_training_that_waits_for_cameras(
     assert "training" not in {thread.name for thread in threading.enumerate()}
 
 
-def figures(state: CameraState = CameraState.OK, fault: str = "", *, waiting: bool = False) -> dict[str, Any]:
+def figures(
+    state: CameraState = CameraState.OK, fault: str = "", *, waiting: bool = False, knocked: bool = False
+) -> dict[str, Any]:
     """What a worker tells of two cameras, one of them in this state."""
     one = CameraStatistics(CameraState.OK, ClockSource.NTP, 1_000_000, -3.5, Counts(7, 1, 2, 3, 4, -2_000_000), 1, "")
+    one = replace(one, shift=35.2 if knocked else None, knocked=knocked)
     other = CameraStatistics(state, None, 0, 0.0, Counts(), 2, fault)
     rig = Statistics(state is CameraState.LOST, waiting, 5, 6, 7, 8_000_000, 9, {"cam0": one, "cam1": other})
     told: dict[str, Any] = json.loads(json.dumps(asdict(rig)))
@@ -194,6 +197,9 @@ def test_a_stream_is_degraded_while_a_camera_is_lost(clip: Clip) -> None:
         await stream.on_message(Tag.PACKET, clip.packets[1])
         assert stream.state == "degraded"
         assert await tell(figures(CameraState.LATE)) == ("live", "")
+        state, detail = await tell(figures(knocked=True))
+        assert (state, detail[:24]) == ("degraded", "camera cam0 was knocked:")
+        assert await tell(figures()) == ("live", "")
         await stream.resume_point()  # the worker died
         stream._enter("degraded", "the worker ended by signal 9; it is being restarted")
         assert await tell(figures()) == ("degraded", "the worker ended by signal 9; it is being restarted")
@@ -204,7 +210,7 @@ def test_a_stream_is_degraded_while_a_camera_is_lost(clip: Clip) -> None:
 def test_metrics_of_cameras_are_what_the_worker_told_and_documented() -> None:
     class Ingest(Collector):
         def collect(self) -> Any:
-            return ingest_families({"main": figures(CameraState.LOST), "file": None})
+            return ingest_families({"main": figures(CameraState.LOST, knocked=True), "file": None})
 
     registry = CollectorRegistry()
     registry.register(Ingest())
@@ -213,6 +219,7 @@ def test_metrics_of_cameras_are_what_the_worker_told_and_documented() -> None:
     assert float(values['streamlod_ingest_dropped_stale_total{stream="main"}']) == 6
     assert float(values['streamlod_ingest_latency_seconds{stream="main"}']) == 0.008
     assert float(values['streamlod_camera_lost{camera="cam1",stream="main"}']) == 1
+    assert float(values['streamlod_camera_knocked{camera="cam0",stream="main"}']) == 1
     assert float(values['streamlod_camera_skew_seconds{camera="cam0",stream="main"}']) == -0.002
     assert float(values['streamlod_camera_missing_total{camera="cam0",stream="main"}']) == 4
     assert float(values['streamlod_camera_drift_ppm{camera="cam0",stream="main"}']) == -3.5

@@ -24,6 +24,14 @@ _NEAR = 1.5  # pixels from the epipolar line of a matrix found without the poses
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Features:
+    """F features of a picture: points [F,2] in pixels and descriptors, None where there is no feature."""
+
+    points: Float64
+    descriptors: NDArray[Any] | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PairMatches:
     """Matches of two cameras.
 
@@ -41,12 +49,11 @@ class PairMatches:
 
 def matched(pictures: Sequence[UInt8]) -> list[PairMatches]:
     """Matches of all pairs of cameras that share enough, by one picture [H,W,3] of each."""
-    sift = cv2.SIFT.create(_FEATURES)
-    features = [_features(sift, picture) for picture in pictures]
+    features = [features_of(picture, _FEATURES) for picture in pictures]
     found = []
     for first, second in combinations(range(len(pictures)), 2):
-        numbers = _pairs(features[first], features[second])
-        points = np.stack([features[first][0][numbers[:, 0]], features[second][0][numbers[:, 1]]], axis=1)
+        numbers = alike(features[first], features[second])
+        points = np.stack([features[first].points[numbers[:, 0]], features[second].points[numbers[:, 1]]], axis=1)
         if len(points) >= MIN_MATCHES and (kept := _consistent(points)).sum() >= MIN_MATCHES:
             found.append(PairMatches(first, second, points[kept], numbers[kept]))
     return found
@@ -67,17 +74,18 @@ def residual(pair: PairMatches, first: Camera, second: Camera) -> float:
     return float(np.median(miss / np.maximum(slope, 1e-12)) * 1000 / first.width)
 
 
-def _features(sift: cv2.SIFT, picture: UInt8) -> tuple[Float64, NDArray[Any] | None]:
-    points, descriptors = sift.detectAndCompute(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), None)
-    return np.array([point.pt for point in points], np.float64).reshape(-1, 2) + 0.5, descriptors
+def features_of(picture: UInt8, most: int) -> Features:
+    """At most so many features of a picture [H,W,3]."""
+    points, descriptors = cv2.SIFT.create(most).detectAndCompute(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), None)
+    return Features(np.array([point.pt for point in points], np.float64).reshape(-1, 2) + 0.5, descriptors)
 
 
-def _pairs(first: tuple[Float64, NDArray[Any] | None], second: tuple[Float64, NDArray[Any] | None]) -> Int64:
+def alike(first: Features, second: Features) -> Int64:
     """[M,2] numbers of features that are each other's best match."""
-    if first[1] is None or second[1] is None or min(len(first[0]), len(second[0])) < 2:
+    if first.descriptors is None or second.descriptors is None or min(len(first.points), len(second.points)) < 2:
         return np.zeros((0, 2), np.int64)
-    there = {m.queryIdx: m.trainIdx for m in _good(first[1], second[1])}
-    back = {m.queryIdx: m.trainIdx for m in _good(second[1], first[1])}
+    there = {m.queryIdx: m.trainIdx for m in _good(first.descriptors, second.descriptors)}
+    back = {m.queryIdx: m.trainIdx for m in _good(second.descriptors, first.descriptors)}
     both = [(a, b) for a, b in there.items() if back.get(b) == a]
     return np.array(both, np.int64).reshape(-1, 2)
 

@@ -11,6 +11,7 @@ import pytest
 from streamlod.codec.container import SlodWriter
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
+from streamlod.server.worker.ingest_report import complaint
 from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
 from tests.client.web.watching import INSPECT, WAIT, comes_to_show, picture, shows
@@ -256,3 +257,12 @@ document.addEventListener("DOMContentLoaded", () => {
   if (card) new MutationObserver(note).observe(card, { attributes: true, subtree: true, childList: true });
 });
 """
+
+
+def test_a_knocked_camera_is_named_at_the_top_of_the_picture(page: Any, clip: Clip) -> None:
+    """With what to do about it."""
+    cameras = {"door": {"state": "ok", "fault": "", "knocked": True}, "wall": {"state": "ok", "fault": ""}}
+    behaviour = Behaviour(fps=5, state="degraded", detail=complaint({"cameras": cameras}))
+    with serving(create_app(clip, behaviour)) as url:
+        page.goto(f"{url}/?quality=high")
+        chip(page, "Live, but camera door was knocked: put it back or calibrate again")

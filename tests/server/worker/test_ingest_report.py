@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from streamlod.server.worker.ingest_report import complaint
 
 
-def _camera(state: str = "ok", fault: str = "", refused: str = "") -> dict[str, str]:
+def _camera(state: str = "ok", fault: str = "", refused: str = "") -> dict[str, Any]:
     return {"state": state, "fault": fault, "refused": refused}
 
 
@@ -18,3 +20,12 @@ def test_one_lost_camera_is_named_and_several_are_counted() -> None:
     assert complaint({"cameras": rig}) == "3 of 5 cameras are lost: cam1, cam3, cam4 (Connection refused)"
     rig["cam5"] = _camera(refused="films at another rate")
     assert complaint({"cameras": rig}).endswith("; camera cam5 films at another rate")
+
+
+def test_a_knocked_camera_is_named_with_what_to_do_and_not_when_it_is_lost_as_well() -> None:
+    knocked = _camera() | {"knocked": True}
+    assert complaint({"cameras": {"cam1": _camera(), "cam2": knocked}}).startswith(
+        "camera cam2 was knocked: put it back"
+    )
+    lost = _camera("lost", "Connection refused") | {"knocked": True}
+    assert complaint({"cameras": {"cam1": lost}}) == "camera cam1 is lost (Connection refused)"

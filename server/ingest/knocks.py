@@ -1,0 +1,77 @@
+"""Watches whether cameras were knocked since a rig is read, by what they see, in a fiftieth of the time.
+
+Two looks in a row must say the same of a camera, that it has moved or that it is back in its place. Where more than
+half of the cameras seem to have moved, it is the scene that did.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, Future
+
+import numpy as np
+
+from streamlod.core.arrays import Bool, UInt8
+from streamlod.core.calibration.checks.matches import Features
+from streamlod.core.calibration.checks.shift import OFF, Shift, landmarks, shift
+
+_SHARE = 0.02  # of the time that looking may take
+_SAVED_SECONDS = 10.0  # in which nothing was looked at count as time for it; frames that train long are few
+_RENEWED_BELOW = 0.25  # share of its landmarks; a camera in its place that shows fewer gets new ones
+
+
+class Knocks:
+    """The cameras of a rig.
+
+    Args:
+        count: of cameras.
+        clock: seconds.
+
+    Attributes:
+        shifts: of each camera, pixels at a width of 1000 that its picture has moved; None where nothing tells.
+    """
+
+    def __init__(self, count: int, clock: Callable[[], float] = time.monotonic) -> None:
+        self.shifts: list[float | None] = [None] * count
+        self._landmarks: list[Features | None] = [None] * count
+        self._last: list[Shift | None] = [None] * count
+        self._clock, self._next, self._due = clock, 0, -np.inf
+        self._looking: Future[None] | None = None
+
+    @property
+    def knocked(self) -> Bool:
+        """[C] which cameras were."""
+        moved = np.array([found is not None and found >= OFF for found in self.shifts], np.bool_)
+        return moved if 2 * moved.sum() <= len(moved) else np.zeros_like(moved)
+
+    def look(self, images: Sequence[UInt8] | UInt8, present: Bool, pool: Executor) -> None:
+        """Look at some of the newest pictures [H,W,3] on a thread of `pool`, as far as there is time."""
+        if self._looking is not None:
+            if not self._looking.done():
+                return
+            self._looking.result()
+        self._looking = pool.submit(self._look, images, present)
+
+    def _look(self, images: Sequence[UInt8] | UInt8, present: Bool) -> None:
+        for _ in range(len(present)):
+            begin = self._clock()
+            if begin < self._due:
+                return
+            if present[self._next]:
+                self._compare(self._next, landmarks(images[self._next]))
+            self._next = (self._next + 1) % len(present)
+            self._due = max(self._due, begin - _SAVED_SECONDS) + (self._clock() - begin) / _SHARE
+
+    def _compare(self, number: int, now: Features) -> None:
+        first = self._landmarks[number]
+        if first is None:
+            self._landmarks[number] = now
+            return
+        last, found = self._last[number], shift(first, now)
+        self._last[number] = found
+        if last is None or found is None or abs(last.pixels - found.pixels) >= OFF:
+            return  # somebody walks by: what was known holds
+        self.shifts[number] = found.pixels
+        if found.pixels < OFF and found.matches < _RENEWED_BELOW * len(first.points):
+            self._landmarks[number] = now
