@@ -1,6 +1,6 @@
 /** What phones need: tools as a sheet from below, a hint about gestures, help without keys, a screen that stays on. */
 
-import { button, toast } from "./page.js";
+import { button, element, toast } from "./page.js";
 
 const HINT = "Drag to look around, pinch to come closer, two fingers to move", HINT_MS = 5000;
 const AFTER_WARNING_MS = 6000; // the page says first that it draws in software
@@ -17,6 +17,9 @@ export function attachPhone(viewer) {
   };
   more.onclick = () => sheet(!classList.contains("sheet"));
   viewer.canvas.addEventListener("pointerdown", () => sheet(false));
+  element("tools").addEventListener("click", ({ target }) => { // what it does is seen where the sheet lies; only menus lie above it
+    if (!(/** @type {Element} */ (target).closest("[aria-haspopup]"))) sheet(false);
+  });
 
   /** Help speaks of the input that was used last. @param {boolean} touch */
   const use = (touch) => classList.toggle("touch", touch);

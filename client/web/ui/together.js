@@ -110,7 +110,7 @@ export class Together {
 
   #show() {
     const { role, known } = this, control = button("b-together"), chip = element("status-together");
-    const title = { presenting: "Stop presenting", following: "Follow no more", apart: known?.by ? "Follow the presenter" : "Present my view to all who follow" }[role];
+    const title = { presenting: "Stop presenting", following: "Follow no more", apart: known?.by ? "Follow the presenter" : "Present my view" }[role];
     control.hidden = !this.#offered;
     control.title = `${title} (G)`;
     control.setAttribute("aria-label", title);

@@ -77,7 +77,9 @@ def test_tools_hint_help_and_wake_lock(page: Any, clip: Clip) -> None:
         assert page.locator("#help kbd").first.is_hidden()
         assert not any(word in page.locator("#help").inner_text() for word in ("Wheel", "click", "Right"))
         page.tap("#help form button")
-        page.touchscreen.tap(195, 200)
+        page.locator("#tools").wait_for(state="hidden", **WAIT)
+        tap(page, "#b-more")
+        page.tap("#b-home")  # the scene is seen, not the sheet
         page.locator("#tools").wait_for(state="hidden", **WAIT)
         tap(page, "#t-play")
         page.wait_for_function("locks[0].released", **WAIT)
