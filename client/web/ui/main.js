@@ -150,8 +150,8 @@ async function start(viewer) {
     const far = viewer.presenting ? 0 : viewer.outside;
     if (far === lastOutside) return;
     lastOutside = far;
-    const filter = far > 0 ? `blur(${(MAX_BLUR_PX * far).toFixed(1)}px)` : ""; // what nobody filmed, in the scene's own colours
-    for (const part of [canvas, viewer.renderer.canvas]) part.style.filter = filter;
+    // What nobody filmed, in the scene's own colours; a filter of the canvas itself would let the page shine through at its border.
+    element("haze").style.backdropFilter = far > 0 ? `blur(${(MAX_BLUR_PX * far).toFixed(1)}px)` : "";
     button("b-back").hidden = far < BACK_AT;
   });
   button("b-back").onclick = () => goHome();

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
 from tests.client.web.watching import INSPECT, KEEP_TOASTS, WAIT, picture, said, shows
@@ -90,6 +92,11 @@ def test_a_narrow_screen_frames_the_subject(page: Any, clip: Clip) -> None:
     assert filled[1] > 1.5 * whole[1], "they are larger by default"
 
 
+def screen(page: Any) -> Image.Image:
+    """What is on the screen, not only on the canvas."""
+    return Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+
+
 def test_fades_outside_and_offers_a_way_back(page: Any, clip: Clip) -> None:
     """Far away and behind the scene the picture fades, nobody gets lost, and a button leads back."""
     with serving(create_app(clip, Behaviour(newest=3))) as url:
@@ -104,11 +111,13 @@ def test_fades_outside_and_offers_a_way_back(page: Any, clip: Clip) -> None:
         page.locator("#b-back").wait_for(**WAIT)
         position = np.array(page.evaluate("streamlod.state.camera").split(",")[:3], float)
         assert np.linalg.norm(position) < 20, "it goes no farther"
-        assert "blur" in page.evaluate("document.getElementById('canvas').style.filter")
+        assert "blur" in page.evaluate("haze.style.backdropFilter")
+        background = [255 * x for x in clip.states[3].header.background]
+        assert screen(page).getpixel((0, 120)) == pytest.approx(background, abs=6), "the page does not shine through"
         page.click("#b-back")
         page.wait_for_function("(home) => streamlod.state.camera === home", arg=home, **WAIT)
         page.locator("#b-back").wait_for(state="hidden", **WAIT)
-        assert page.evaluate("document.getElementById('canvas').style.filter") == ""
+        assert page.evaluate("haze.style.backdropFilter") == ""
 
 
 def test_the_rigs_cameras_are_named_and_lead_there(page: Any, clip: Clip) -> None:
