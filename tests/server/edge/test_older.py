@@ -12,7 +12,8 @@ import os
 import subprocess
 import sys
 import zipfile
-from contextlib import ExitStack
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, ExitStack
 from hashlib import sha256
 from pathlib import Path
 
@@ -28,7 +29,7 @@ pytestmark = pytest.mark.cluster
 
 OLDER = "c4b60cff6e21cbb1b0771d840b36039af2663c22"
 ROOT = Path(__file__).parents[3]
-# Watches a stream; a line for each scene, with its version and what it holds.
+# Watches a stream at one server after another; a line for each scene, with its version and what it holds.
 VIEWER = """
 import asyncio, json, os, sys
 from contextlib import aclosing
@@ -43,7 +44,8 @@ else:
 def state_hash(scene):
     return sha256(b"".join(bytes(column) for level in scene.levels for column in level.state())).hexdigest()
 
-async def run(url, scenes):
+async def run(port, scenes):
+    url = f"ws://127.0.0.1:{port}/v1/streams/main/live"
     async with aclosing(watch(url)) as events:
         async for event in events:
             if isinstance(event, NewScene) and event.levels == len(event.scene.levels):
@@ -52,13 +54,14 @@ async def run(url, scenes):
                 if not scenes:
                     return
 
-asyncio.run(run(sys.argv[1], int(sys.argv[2])))
+for port in sys.argv[2:]:
+    asyncio.run(run(port, int(sys.argv[1])))
 """
 
 
 @pytest.fixture(scope="module")
 def older(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The older version's code, its kernels compiled: else each of its processes would do that, side by side."""
+    """The older version's code."""
     command = ["git", "-C", ROOT, "archive", "--format=zip", OLDER, "core", "codec", "server", "client"]
     archive = subprocess.run(command, capture_output=True, check=False)
     if archive.returncode:
@@ -66,9 +69,12 @@ def older(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("older")
     with zipfile.ZipFile(io.BytesIO(archive.stdout)) as packed:
         packed.extractall(folder)
-    warm = "import core; from codec.warm import warm_up; warm_up()"  # in the order of a server: settings, then Numba
-    subprocess.run([sys.executable, "-c", warm], cwd=folder, env=os.environ | {"PYTHONPATH": str(folder)}, check=True)
     return folder
+
+
+def version_node(folder: Path, *arguments: object, source: Path, port: int = 0) -> AbstractContextManager[Node]:
+    """A process of that version. The older one compiles nothing: that took longer than all that it decodes here."""
+    return node(folder, *arguments, source=source, port=port, NUMBA_DISABLE_JIT=str(int(source != ROOT)))
 
 
 def state_hash(scene: Scene) -> str:
@@ -76,14 +82,15 @@ def state_hash(scene: Scene) -> str:
     return sha256(b"".join(bytes(column) for level in scene.levels for column in level.state())).hexdigest()
 
 
-def viewer_sees(source: Path, port: int, clip: Clip, scenes: int = 40) -> None:
-    """Run a viewer of that version; what it shows has to be what was filmed."""
-    command = [sys.executable, "-c", VIEWER, f"ws://127.0.0.1:{port}/v1/streams/main/live", str(scenes)]
-    environment = os.environ | {"PYTHONPATH": str(source)}
+def viewer_sees(source: Path, servers: Sequence[Node], clip: Clip, scenes: int = 40) -> None:
+    """Run a viewer of that version at each server; what it shows has to be what was filmed."""
+    command = [sys.executable, "-c", VIEWER, str(scenes), *(str(server.port) for server in servers)]
+    environment = os.environ | {"PYTHONPATH": str(source), "NUMBA_DISABLE_JIT": str(int(source != ROOT))}
     done = subprocess.run(command, cwd=source, env=environment, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr
     seen = [json.loads(line) for line in done.stdout.splitlines()]
-    assert len({version for version, _ in seen}) == scenes
+    for begin in range(0, len(servers) * scenes, scenes):
+        assert len({version for version, _ in seen[begin : begin + scenes]}) == scenes
     assert [found for _, found in seen] == [state_hash(clip.states[version]) for version, _ in seen]
 
 
@@ -102,15 +109,14 @@ def test_an_origin_and_an_edge_of_two_versions_serve_viewers_of_both(
 ) -> None:
     sources = (ROOT, older) if upgraded == "the origin" else (older, ROOT)
     with ExitStack() as stack:
-        origin = stack.enter_context(node(tmp_path, "serve", "--play", long_clip.path, source=sources[0]))
-        edge = stack.enter_context(node(tmp_path, "edge", "--origin", origin.url, source=sources[1]))
+        origin = stack.enter_context(version_node(tmp_path, "serve", "--play", long_clip.path, source=sources[0]))
+        edge = stack.enter_context(version_node(tmp_path, "edge", "--origin", origin.url, source=sources[1]))
         wait(lambda: edge.get("/readyz").status_code == 200)
         wait(lambda: edge.get("/v1/streams/main").status_code == 200)
         for source, server in zip(sources, (origin, edge), strict=True):
             assert ("edges" in server.get("/v1/server").json()) == (source == ROOT)  # these are two versions
         for source in (ROOT, older):
-            for server in (origin, edge):
-                viewer_sees(source, server.port, long_clip)
+            viewer_sees(source, (origin, edge), long_clip)
         with edge.viewing() as viewer:
             viewer.hello().until("caught_up")
             wait(lambda: viewer.step() and same_groups(edge, origin))
@@ -125,14 +131,14 @@ def test_viewers_of_an_edge_stay_while_the_origin_becomes_another_version(
     (port,) = free_ports(1)
     serve = ("serve", "--play", slow_long_clip.path, "--state-dir", tmp_path / "state")
     with ExitStack() as stack:
-        origin = stack.enter_context(node(tmp_path, *serve, port=port, source=before))
-        edge = stack.enter_context(node(tmp_path, "edge", "--origin", origin.url, source=before))
+        origin = stack.enter_context(version_node(tmp_path, *serve, port=port, source=before))
+        edge = stack.enter_context(version_node(tmp_path, "edge", "--origin", origin.url, source=before))
         wait(lambda: edge.get("/v1/streams/main").status_code == 200)
         viewer = stack.enter_context(edge.viewing()).hello()
         viewer.until("caught_up")
         origin.process.terminate()
         origin.process.wait(60)
-        new = stack.enter_context(node(tmp_path, *serve, port=port, source=after))
+        new = stack.enter_context(version_node(tmp_path, *serve, port=port, source=after))
         assert viewer.until("epoch", 30)["epoch"] == 2
         viewer.next_packet()
         scene = viewer.until_version(60)
