@@ -51,6 +51,8 @@ def board_poses(corners: Float64, lens: Float64, board: Float64) -> Float64:
             )
         except cv2.error:  # corners on one line
             continue
+        if not found:  # and then there are no lists
+            continue
         options = [
             (float(np.ravel(error)[0]), np.concatenate([np.ravel(turn), np.ravel(move)]))
             for turn, move, error in zip(turns[:found], moves, errors, strict=False)

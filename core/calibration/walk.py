@@ -53,9 +53,10 @@ def open_walk(path: Path) -> tuple[WalkFootage, ...]:
     if not path.is_dir():
         raise InputError(path, "is not a folder" if path.exists() else "does not exist")
     files = files_in(path, SUFFIXES)
-    cameras = tuple(_videos(path, files)) if len(files) > 1 else tuple(_recording(path))
+    cameras = tuple(_videos(path, files)) if files else tuple(_recording(path))
     if not 2 <= len(cameras) <= MAX_CAMERAS:
-        raise InputError(path, f"holds {len(cameras)} cameras; a rig has 2 to {MAX_CAMERAS}, one video each")
+        count = "one camera" if len(cameras) == 1 else f"{len(cameras) or 'no'} cameras"
+        raise InputError(path, f"holds {count}; a rig has 2 to {MAX_CAMERAS}, one video each")
     return cameras
 
 

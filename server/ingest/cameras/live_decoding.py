@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ from streamlod.core.data.video.reach import Reach
 from streamlod.server.ingest.cameras.reports import media_ns_of
 
 _LOG = logging.getLogger(__name__)
+_PATIENCE_SECONDS = 12.0  # until the first keyframe; encoders left to themselves send one every 250 pictures
 
 
 class LiveDecoding:
@@ -26,21 +28,23 @@ class LiveDecoding:
 
     def __init__(self, camera: str, stream: av.video.stream.VideoStream) -> None:
         self._camera, self._stream = camera, stream
-        self._reach, self._told = Reach(), False
+        self._reach, self._told, self._since = Reach(), False, time.monotonic()
 
     def pictures(self, packet: av.Packet[Any]) -> list[av.VideoFrame]:
         """Pictures that are what was filmed.
 
         Raises:
-            av.FFmpegError: nothing of what came so far can be decoded.
+            av.FFmpegError: nothing of what came for a while can be decoded.
         """
         if packet.pts is not None and packet.time_base is not None:
             self._reach.sample(packet, round(packet.pts * packet.time_base * 1_000_000_000))
         try:
             frames: Sequence[Any] | None = None if packet.is_corrupt else packet.decode()
         except av.InvalidDataError:
-            if not self._reach.begun:
-                raise
+            if not self._reach.begun:  # opened amid a group of pictures: another connection would miss as much
+                if time.monotonic() - self._since > _PATIENCE_SECONDS:
+                    raise
+                return []
             frames = None
         if frames is not None:
             self._reach.decoded()

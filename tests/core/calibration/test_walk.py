@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+import pytest
+
 from streamlod.core.calibration.walk import open_walk
+from streamlod.core.errors import InputError
 from tests.core.data.writers import copy_video, picture, read_back, write_video
 
 
@@ -18,3 +22,9 @@ def test_what_is_damaged_shifts_no_later_picture(tmp_path: Path) -> None:
         seen = [None if image is None else read_back(image)[1] for image in footage.pictures()]
         assert seen == [None if t in lost else t for t in range(16)]
         assert len(footage.times) == 16
+
+
+def test_a_folder_with_one_video_is_told_that_a_rig_has_more(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mp4", [np.zeros((48, 64, 3), np.uint8)] * 3)
+    with pytest.raises(InputError, match="holds one camera; a rig has 2 to"):
+        open_walk(tmp_path)

@@ -107,6 +107,18 @@ def test_what_is_built_upon_lost_packets_is_missing_up_to_the_next_keyframe(clip
     assert (63 in numbers) == (lost == 0)
 
 
+def test_a_camera_that_is_joined_long_before_a_keyframe_is_waited_for(tmp_path: Path) -> None:
+    """One connection is enough; another would miss the keyframe as well."""
+    path, first = tmp_path / "long.ts", 60
+    images = [np.full((*SIZE[::-1], 3), 20 + 2 * number, np.uint8) for number in range(COUNT)]
+    write_video(path, images, codec="libx264", options={"x264-params": X264.replace("12", str(first))})
+    with av.open(str(path)) as container:
+        at = [packet.pos for packet in container.demux(video=0) if packet.size > 0][8]
+    with _served(path.read_bytes()[at:]) as address:
+        numbers = _numbers(path, _read(address))
+    assert set(range(first + 1, COUNT - 1)) <= set(numbers)
+
+
 class Lossy:
     """A relay before a camera's RTSP connection that keeps back one in so many of the packets amid a picture.
 
