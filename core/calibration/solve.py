@@ -24,6 +24,7 @@ from streamlod.core.calibration.board.description import Board
 from streamlod.core.calibration.first_lens import first_lens
 from streamlod.core.calibration.graph import first_poses
 from streamlod.core.calibration.instants import chosen_instants
+from streamlod.core.calibration.stillness import check_still
 from streamlod.core.calibration.sync import first_offsets
 from streamlod.core.calibration.track import Track
 from streamlod.core.calibration.trust import check_agreement, check_certainty, check_lens, near_enough
@@ -89,6 +90,7 @@ def calibrate(tracks: Sequence[Track], board: Board, known: Mapping[str, Float64
     times = chosen_instants(tracks, offsets)
     seen = [t.near(times - o).at(times - o) for t, o in zip(tracks, offsets, strict=True)]
     first = first_poses(names, seen, lenses, board.corners)
+    check_still(names, first.views)
     placed = np.isfinite(first.boards[:, 0])
     times = times[placed]
     scene = AdjustedRig(lenses, first.cameras, offsets, first.boards[placed])
