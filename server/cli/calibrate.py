@@ -59,7 +59,8 @@ def calibrate(
     seen = board_as_seen(footage, described)
     found = solve(_tracks(footage, seen), seen, known)
     files = write_calibration(found, footage, folder)
-    report = "\n".join([table_of(found), *advice_of(found)])
+    board_line = f"the board has {seen.described()}, from which all lengths follow"
+    report = "\n".join([table_of(found), *advice_of(found), board_line])
     write_text(folder / _REPORT, report + "\n")
     draw(found, folder / _PICTURE)
     return f"{report}\n{', '.join(file.name for file in files)}, {_REPORT} and {_PICTURE} written to {folder}"
@@ -79,7 +80,7 @@ def _is_file(board: str | None) -> bool:
 
 
 def _board(board: str | None, square_mm: float | None, folder: Path, *, beside: bool = True) -> Board:
-    """The board that the options describe, or charuco.toml beside the videos, or the one that --print-board prints."""
+    """The board that the options describe, or charuco.toml with the videos or beside their folder, or the usual one."""
     found = Board()
     if board is not None and _is_file(board):
         found = read_board(Path(board))
@@ -88,8 +89,9 @@ def _board(board: str | None, square_mm: float | None, folder: Path, *, beside: 
         if match is None:
             raise InputError("--board", f"{board!r:.60} is neither COLUMNSxROWS, such as 7x5, nor a .toml file")
         found = replace(found, columns=int(match[1]), rows=int(match[2]))
-    elif beside and (folder / FILE).is_file():
-        found = read_board(folder / FILE)
+    elif beside:
+        files = (place / FILE for place in (folder, folder.absolute().parent))
+        found = next((read_board(file) for file in files if file.is_file()), found)
     return found if square_mm is None else replace(found, square_m=square_mm / 1000)
 
 

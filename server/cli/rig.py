@@ -119,6 +119,7 @@ def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings
     for name, one in found.items():
         slow = f", {one.left_out} left out as this machine was too slow" if one.left_out else ""
         say(f"{record_to / name}.mp4: {one.pictures} pictures{slow}")
+    say(f"next: streamlod calibrate {record_to}, with charuco.toml of the printed board beside or --board FILE")
 
 
 def _heard(out: Path, name: str, cameras: Sequence[Mapping[str, Any]]) -> str:

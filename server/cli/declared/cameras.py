@@ -86,7 +86,9 @@ def calibrate(
     ] = None,
     board: Annotated[
         str | None,
-        typer.Option(metavar="COLUMNSxROWS|FILE.toml", help="The board; by default DATA/charuco.toml, else 7x5."),
+        typer.Option(
+            metavar="COLUMNSxROWS|FILE.toml", help="The board; by default charuco.toml in DATA or beside it, else 7x5."
+        ),
     ] = None,
     square_mm: Annotated[
         float | None, typer.Option(min=1, max=5000, help="Side of a square as it was measured.  [default: 55]")

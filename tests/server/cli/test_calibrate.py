@@ -35,3 +35,12 @@ def test_unusable_arguments_are_refused(arguments: list[str], sentence: str) -> 
     refused = CliRunner().invoke(app, ["calibrate", *arguments])
     assert isinstance(refused.exception, InputError)
     assert sentence in str(refused.exception)
+
+
+@pytest.mark.parametrize("place", [".", "walk"])
+def test_the_boards_description_is_found_with_the_videos_and_beside_their_folder(tmp_path: Path, place: str) -> None:
+    """There it lies where it was printed and the walk recorded from one folder; without it, all lengths were wrong."""
+    (tmp_path / "walk").mkdir()
+    (tmp_path / place / "charuco.toml").write_text("columns = 0\nrows = 5\n")
+    refused = CliRunner().invoke(app, ["calibrate", str(tmp_path / "walk")])
+    assert "columns and rows must be whole numbers" in str(refused.exception)

@@ -174,6 +174,7 @@ def test_phones_are_recorded_on_one_clock(tmp_path: Path) -> None:
         assert not phone.is_alive()
     assert len(phones) == 2
     assert any("all 3 cameras at one instant" in line for line in said)
+    assert f"next: streamlod calibrate {tmp_path / 'walk'}" in said[-1]
     with pytest.raises(InputError, match="not empty"):
         watch(rig, tmp_path / "walk", 3.0, settings, say, overwrite=False)
     assert all(probe_video(file).one_clock for file in (tmp_path / "walk").glob("*.mp4"))
