@@ -15,19 +15,27 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+import cv2
+import numpy as np
+
 from streamlod.client.evaluation.measure.machine import machine
+from streamlod.client.evaluation.report.output import result_folder, side_by_side
 from streamlod.client.evaluation.report.tables import number, table
+from streamlod.client.recorder import write_png
+from streamlod.core.arrays import UInt8
 from streamlod.core.files import write_text
 from streamlod.core.options import PRESETS
-from tests.bench.zoo.cells import Cells, program_digest
-from tests.bench.zoo.run import ZooOptions, run_zoo
+from tests.bench.zoo.cells import CellKey, Cells, program_digest
+from tests.bench.zoo.run import ZooOptions, picture_name, run_zoo
 
 DOWNSCALE = 2.0  # of pictures of 480x270
+PICTURE = "results-worst.png"  # in images, beside the page
 ROOT = Path(__file__).parents[2]
 
 
@@ -45,9 +53,11 @@ def main() -> None:
     data = os.environ.get("STREAMLOD_DATA")
     for preset in options.presets:
         run_zoo(Path(data) if data else None, options.out, zoo(options, preset))
-    text = page(options, Cells(options.out / "cells.jsonl", program_digest()))
+    found = Found(options, Cells(options.out / "cells.jsonl", program_digest()))
+    text = page(found)
     if options.page:
         write_text(options.page, text)
+        write_png(result_folder(options.page.parent / "images") / PICTURE, worst_pictures(found))
     print(text)
 
 
@@ -58,18 +68,35 @@ def zoo(options: argparse.Namespace, preset: str) -> ZooOptions:
     )
 
 
-def page(options: argparse.Namespace, cells: Cells) -> str:
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What was asked for, and the cells of its folder."""
+
+    options: argparse.Namespace
+    cells: Cells
+
+    def of(self, scene: str, preset: str) -> dict[CellKey, dict[str, Any]]:
+        """Cells of a scene and a preset, a seed each."""
+        wanted = (scene, preset, self.options.views, self.options.frames)
+        return {
+            key: figures
+            for key, figures in self.cells.items()
+            if (key.scene, key.preset, key.views, key.frames) == wanted and key.seed < self.options.seeds
+        }
+
+    def worst(self, scene: str) -> CellKey:
+        """The cell of a scene whose last frame is farthest from the truth."""
+        cells = {key: figures for preset in self.options.presets for key, figures in self.of(scene, preset).items()}
+        return min(cells, key=lambda key: cells[key]["frames"][-1]["psnr"])
+
+
+def page(found: Found) -> str:
     """The page, from the cells that its options name."""
-    rows = []
-    for scene in options.scenes:
-        for preset in options.presets:
-            found = [
-                figures
-                for key, figures in cells.items()
-                if (key.scene, key.preset, key.views, key.frames) == (scene, preset, options.views, options.frames)
-                and key.seed < options.seeds
-            ]
-            rows.append([scene, f"`{preset}`", *summary(found)])
+    options = found.options
+    pairs = [(scene, preset) for scene in options.scenes for preset in options.presets]
+    cells = {pair: list(found.of(*pair).values()) for pair in pairs}
+    rows = [[scene, f"`{preset}`", *summary(cells[scene, preset])] for scene, preset in pairs]
+    levels = [[scene, f"`{preset}`", level_text(cells[scene, preset])] for scene, preset in pairs]
     head = (
         "scene", "preset", "PSNR", "SSIM", "moving PSNR", "KB a frame", "keyframe KB", "CPU s a frame",
         "first frame, CPU s", "anchors",
@@ -85,7 +112,41 @@ Held-out camera, {options.views} of 12 training views, pictures of 240x135, mean
 the reporting half of the zoo, on which nothing was chosen. Older figures, with their commands, are in
 [history](history/README.md).
 
-{table(head, rows)}"""
+{table(head, rows)}
+## Levels
+
+PSNR of the last frame for a viewer who has its coarsest level alone, that and the next, and so on to the whole.
+
+{table(("scene", "preset", "PSNR up to each level"), levels)}
+## The worst, looked at
+
+The last frame of each scene's worst run: truth, what was drawn, and the difference times four. Edges are what is
+missing, and thin things that few of the cameras see. From above:
+{worst_names(found)}.
+
+![truth, drawn and difference of each scene](images/{PICTURE})
+"""
+
+
+def level_text(cells: list[dict[str, Any]]) -> str:
+    """PSNR up to each level, coarsest first, of the first seed."""
+    return ", ".join(number(value, 1) for value in cells[0]["levels"]) if cells else "-"
+
+
+def worst_names(found: Found) -> str:
+    """Scene, preset and seed of each picture."""
+    keys = [found.worst(scene) for scene in found.options.scenes]
+    return ", ".join(f"{key.scene} `{key.preset}` seed {key.seed}" for key in keys)
+
+
+def worst_pictures(found: Found) -> UInt8:
+    """[H,W,3] truth, drawing and difference of the worst run of each scene, one below the other."""
+    rows = []
+    for key in (found.worst(scene) for scene in found.options.scenes):
+        names = [found.options.out / "pictures" / picture_name(key, shown) for shown in ("truth", key.system)]
+        truth, drawn = (np.asarray(cv2.imread(str(name)), np.uint8)[..., ::-1] for name in names)
+        rows.append(side_by_side(truth, drawn))
+    return np.concatenate(rows)
 
 
 def summary(cells: list[dict[str, Any]]) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from argparse import Namespace
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,8 @@ from streamlod.core.errors import InputError
 from streamlod.core.synthetic import SyntheticSpec
 from streamlod.core.synthetic.spec import cameras as cameras_of
 from streamlod.core.train import preset
-from tests.bench.zoo.cells import CellKey, Cells
+from tests.bench.report_bench import Found, page, worst_pictures
+from tests.bench.zoo.cells import CellKey, Cells, program_digest
 from tests.bench.zoo.run import ZooOptions, run_zoo
 from tests.bench.zoo.scenes import SCENES, view_counts
 from tests.bench.zoo.tables import zoo_report
@@ -65,6 +67,17 @@ def test_pictures_and_report_lie_beside_the_cells(out: Path) -> None:
     assert "| bright | 3 | 1 |" in report
     assert "mean of the choosing half" in report
     assert "reporting half" not in report
+
+
+@pytest.mark.long
+def test_the_page_of_results_shows_levels_and_the_worst_run(out: Path) -> None:
+    options = Namespace(scenes=["bright"], presets=["live"], views=3, frames=2, seeds=1, out=out)
+    found = Found(options, Cells(out / "cells.jsonl", program_digest()))
+    ours = lines(out)[0]["figures"]
+    text = page(found)
+    assert f"| bright | `live` | {', '.join(f'{value:.1f}' for value in ours['levels'])} |" in text
+    assert "bright `live` seed 0." in text
+    assert worst_pictures(found).shape == (36, 3 * 64, 3)
 
 
 @pytest.mark.long

@@ -89,8 +89,8 @@ def run_zoo(root: Path | None, out: Path, options: ZooOptions) -> str:
             continue
         for key, measured in _measured(scene, whole, options, cells, perception):
             cells.add(key, measured.figures)
-            write_png(pictures / _picture(key, key.system), measured.drawn)
-            write_png(pictures / _picture(key, "truth"), measured.truth)
+            write_png(pictures / picture_name(key, key.system), measured.drawn)
+            write_png(pictures / picture_name(key, "truth"), measured.truth)
             _compose(pictures, key)
             first = measured.figures["frames"][0]
             _log.info("%s, %d views, %s: %.2f dB", key.scene, key.views, key.system, first["psnr"])
@@ -127,13 +127,14 @@ def _measured(
                 yield key, contest.ours(options.preset if key.system == "ours" else "paper", key.seed)
 
 
-def _picture(key: CellKey, shown: str) -> str:
+def picture_name(key: CellKey, shown: str) -> str:
+    """Name of a cell's picture; `shown` is ``truth`` or a system."""
     return f"{key.scene}_{key.views}_{key.preset}_{key.seed}_{shown}.png"
 
 
 def _compose(pictures: Path, key: CellKey) -> None:
     """Truth, ours and plain side by side, where all three have been drawn."""
-    paths = [pictures / _picture(key, shown) for shown in ("truth", "ours", "plain")]
+    paths = [pictures / picture_name(key, shown) for shown in ("truth", "ours", "plain")]
     if all(path.is_file() for path in paths):
         parts: list[Any] = [cv2.imread(str(path)) for path in paths]
-        write_png(pictures / _picture(key, "all"), np.concatenate(parts, axis=1)[..., ::-1])
+        write_png(pictures / picture_name(key, "all"), np.concatenate(parts, axis=1)[..., ::-1])
