@@ -49,5 +49,6 @@ def test_version(argument: str) -> None:
     assert others == ([] if argument == "--version" else formats)
 
 
+@pytest.mark.long
 def test_the_reference_is_current() -> None:
     assert PAGE.read_text(encoding="utf-8") == page(), "docs/reference/api.md: run `make api`"

@@ -30,6 +30,7 @@ from streamlod.server.service.app import create_app
 from streamlod.server.service.run import Server, certificates_of, server_config
 from streamlod.server.settings import Settings
 from tests.codec.scenes import make_scene, move
+from tests.waiting import PATIENCE
 
 FRAME_NS = 20_000_000
 
@@ -104,7 +105,9 @@ class Running:
         with self.client() as client:
             return client.get(f"/v1/streams/{name}").json()  # type: ignore[no-any-return]
 
-    def wait(self, done: Callable[[dict[str, Any]], bool], name: str = "main", seconds: float = 60) -> dict[str, Any]:
+    def wait(
+        self, done: Callable[[dict[str, Any]], bool], name: str = "main", seconds: float = PATIENCE
+    ) -> dict[str, Any]:
         limit = time.monotonic() + seconds
         with self.client() as client:  # one for all looks: a connection for each would take more than half the time
             while not done(found := client.get(f"/v1/streams/{name}").json()):

@@ -29,6 +29,7 @@ def test_a_compressed_ply_shows_its_gaussians(tmp_path: Path, with_colours: bool
     _assert_near(tmp_path / "a.slod", some_cloud())
 
 
+@pytest.mark.long  # that program compiles its own kernels
 def test_a_compressed_ply_of_another_program_is_read(tmp_path: Path) -> None:
     cloud = some_cloud()
     data = gsply.GSData(

@@ -104,7 +104,7 @@ def test_a_camera_that_saw_the_board_too_rarely_is_named() -> None:
         calibrate([*tracks[:2], half(tracks[2], 0.5, 0.53), tracks[3]], BOARD)
 
 
-@pytest.mark.parametrize("when", ["last", "first"])
+@pytest.mark.parametrize("when", ["last", pytest.param("first", marks=pytest.mark.long)])
 def test_a_camera_that_was_knocked_during_the_walk_is_named(when: str) -> None:
     """By four degrees, for so short a time that what it saw then would pass for a few outliers."""
     truth, seconds = rig(), 24.0

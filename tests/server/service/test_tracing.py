@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -164,26 +162,6 @@ def test_a_collector_that_does_not_answer_holds_nothing_up_and_is_told_of_once(
     assert len(lines("takes traces again")) == 1
     assert not [record for record in caplog.records if record.name.startswith("opentelemetry")]
     assert logging.getLogger("opentelemetry").propagate
-
-
-WITHOUT = """
-import sys
-for package in ("sdk", "exporter"):  # FastAPI may need the rest
-    sys.modules[f"opentelemetry.{package}"] = None
-from streamlod.core.errors import BackendUnavailable
-from streamlod.server.service.app import create_app
-from streamlod.server.settings import Settings
-create_app(Settings())
-try:
-    create_app(Settings(trace_endpoint="http://127.0.0.1:4318"))
-except BackendUnavailable as error:
-    print(error)
-"""
-
-
-def test_it_says_what_to_install_and_is_not_needed_otherwise() -> None:
-    result = subprocess.run([sys.executable, "-c", WITHOUT], capture_output=True, text=True, check=True)
-    assert "streamlod[trace]" in result.stdout
 
 
 def test_without_a_collector_nobody_listens() -> None:

@@ -1,11 +1,9 @@
-"""A server whose streams are to be trained on a Ray cluster, where Ray is not installed or does not run."""
+"""A server whose streams are to be trained on a Ray cluster, where Ray does not run."""
 
 from __future__ import annotations
 
 import json
 import multiprocessing
-import subprocess
-import sys
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -17,40 +15,6 @@ from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import RaySettings, Settings
 from streamlod.server.worker.cluster.driver import run_on_ray
 from streamlod.server.worker.process import Tag
-
-WITHOUT_RAY = """
-import sys
-sys.modules["ray"] = None
-from streamlod.core.errors import BackendUnavailable
-from streamlod.server.service.app import create_app
-from streamlod.server.settings import Settings
-create_app(Settings())
-try:
-    create_app(Settings(jobs="ray"))
-except BackendUnavailable as error:
-    print(error)
-"""
-WITH_RAY = """
-import sys
-from streamlod.server.service.app import create_app
-from streamlod.server.settings import Settings
-create_app(Settings(jobs="ray"))
-print(*[name for name in sys.modules if name.split(".")[0] == "ray"])
-"""
-
-
-def output_of(code: str) -> str:
-    """What Python prints, in a process of its own: packages of this one that were loaded keep their modules."""
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-
-
-def test_it_says_what_to_install_and_without_the_setting_nothing_of_it_is_needed() -> None:
-    assert "streamlod[ray]" in output_of(WITHOUT_RAY)
-
-
-def test_a_server_loads_nothing_of_it_itself() -> None:
-    pytest.importorskip("ray", reason="ray is missing: pip install 'streamlod[ray]'")
-    assert output_of(WITH_RAY).split() == []
 
 
 def join_nothing(pipe: Connection) -> None:
