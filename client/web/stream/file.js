@@ -14,6 +14,7 @@ export class FileReader {
     /** @type {Uint8Array | null} */
     this.whole = null;
     this.size = 0;
+    this.isCut = false; // it ends amid a packet
   }
 
   /** @param {string} range @returns {Promise<Response>} */
@@ -78,7 +79,11 @@ export class FileReader {
       this.read(0, Math.min(FILE_HEAD, size)), footer && this.read(footer.start, size - FOOTER),
     ]);
     checkHead(head);
-    return (footer && content && readIndex(content, footer.checksum, footer.start)) ?? walkRecords(await this.read(0, size));
+    const indexed = footer && content && readIndex(content, footer.checksum, footer.start);
+    if (indexed) return indexed;
+    const walked = walkRecords(await this.read(0, size)), last = walked[walked.length - 1];
+    this.isCut = last !== undefined && last.offset + last.size < size;
+    return walked;
   }
 }
 

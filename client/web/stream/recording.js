@@ -9,6 +9,7 @@ import { Session } from "./session.js";
 const MAX_AHEAD = 1 << 19, CACHE_BYTES = 96 << 20, TICK_MS = 8;
 const AHEAD_MS = 500; // how long a request may take
 const LATE_MS = 300; // a keyframe that takes longer is shown level by level
+const DAMAGED = "a part of the file is damaged or missing";
 const STALL_MS = 1000; // that a frame is waited for
 
 export class Recording {
@@ -52,6 +53,7 @@ export class Recording {
     const { session } = this;
     session.link = "open";
     session.status.window = { oldest, newest };
+    if (this.reader.isCut) session.status.trouble = DAMAGED;
     session.settle();
     this.#moveTo(0);
     this.handlers.moments?.(this.moments);
@@ -75,7 +77,7 @@ export class Recording {
     const whole = this.moments.filter((moment) => moment.version < version || moment.version >= next);
     if (!whole.length || !(error instanceof BitstreamError)) return this.#fail(error);
     this.moments = whole;
-    session.status.trouble = "a part of the file is damaged or missing";
+    session.status.trouble = DAMAGED;
     session.status.window = { oldest: { epoch: 1, version: whole[0].version }, newest: { epoch: 1, version: whole[whole.length - 1].version } };
     this.shown = whole.findIndex((moment) => moment.version === this.held?.version);
     if (next === Infinity) this.playing = false;
