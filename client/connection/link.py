@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
+from streamlod.client.connection.presenting import Presenter
 from streamlod.client.events import Event
 from streamlod.client.playback import Playback
 from streamlod.codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
@@ -33,6 +34,7 @@ class WatchOptions:
         levels: how many levels, coarse ones first; all by default.
         follows: be told what a presenter shows, as a Notice `presenter` (`client.connection.presented`).
         nearest: watch at the nearest of the edges that the server names, where one answers.
+        presents: what shows others where a program looks.
     """
 
     token: str | None = None
@@ -41,6 +43,7 @@ class WatchOptions:
     limits: DecoderLimits = DEFAULT_LIMITS
     nearest: bool = False
     follows: bool = False
+    presents: Presenter | None = None
 
 
 class StreamLink:
@@ -60,6 +63,7 @@ class StreamLink:
     def __init__(self, url: str, options: WatchOptions) -> None:
         self.url, self.playback, self._options = url, Playback(options.limits), options
         self._socket: ClientConnection | None = None
+        self._presenting: asyncio.Task[None] | None = None
 
     async def open(self, start: tuple[int, int] | None) -> None:
         """Connect and say hello; `start` is a position to replay from, the live edge by default.
@@ -80,10 +84,14 @@ class StreamLink:
         await socket.send(self.playback.hello(start, self._options.levels))
         if self._options.follows:
             await socket.send(FOLLOW)
+        if self._options.presents is not None:
+            self._presenting = asyncio.create_task(self._options.presents.run(socket))
         self.events = _session(socket, self.playback)
 
     async def close(self) -> None:
         """Leave; once more does no harm."""
+        if self._presenting is not None:
+            self._presenting.cancel()
         if self._socket is not None:
             await self._socket.close()
 

@@ -6,18 +6,21 @@ import asyncio
 import contextlib
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import AsyncGenerator, Iterator
 from contextlib import aclosing, contextmanager
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed
 
 from streamlod.client.connection.link import WatchOptions
 from streamlod.client.connection.presented import Presented, presented
+from streamlod.client.connection.presenting import Presenter
 from streamlod.client.connection.watch import watch
-from streamlod.client.events import Notice
+from streamlod.client.events import Event, Notice
+from streamlod.core.camera import look_at, pinhole
 from streamlod.core.errors import InputError
 from streamlod.server.auth.gate import hash_token
 from streamlod.server.pipeline.spec import StreamSpec
@@ -214,6 +217,41 @@ def test_a_program_in_python_follows(server: Running) -> None:
     assert (shown.by, shown.mode, shown.position) == (presenter.welcome["session"], "paused", (1, 3))
     assert shown.camera.centre.tolist() == VIEW["position"]
     assert shown.camera.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() == [720, 720, 320, 244.8]
+
+
+def test_a_program_in_python_presents(server: Running) -> None:
+    """What it shows is what another program sees, until it stops."""
+    address = f"ws://127.0.0.1:{server.port}/v1/streams/main/live"
+    camera = pinhole("tripod", (700, 720), (330, 244), (640, 480), look_at((1, 2, -3), (0, 0, 0), (0, -1, 0)))
+
+    async def play() -> list[Presented | None]:
+        presenter, found = Presenter(), list[Presented | None]()
+        async with aclosing(watch(address, WatchOptions(presents=presenter))) as speaking:
+            await anext(speaking)
+            speech = asyncio.create_task(_listen(speaking))
+            async with aclosing(watch(address, WatchOptions(follows=True))) as events:
+                presenter.show(camera, 4.0, at=(1, 3))
+                async for event in events:
+                    if isinstance(event, Notice) and event.name == "presenter":
+                        found.append(presented(event, (640, 480)))
+                        if found[-1] is None:
+                            break
+                        presenter.stop()
+            speech.cancel()
+            await asyncio.wait([speech])
+        return found
+
+    *shown, end = asyncio.run(play())
+    assert end is None
+    assert shown[-1] is not None
+    assert (shown[-1].mode, shown[-1].position) == ("paused", (1, 3))
+    np.testing.assert_allclose(shown[-1].camera.world_to_camera, camera.world_to_camera, atol=1e-12)
+    np.testing.assert_allclose(shown[-1].camera.intrinsics, camera.intrinsics, atol=1e-9)
+
+
+async def _listen(events: AsyncGenerator[Event, None]) -> None:
+    async for _ in events:
+        pass
 
 
 @pytest.mark.parametrize(
