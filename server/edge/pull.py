@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import logging
 import random
@@ -17,6 +18,7 @@ from websockets.typing import Subprotocol
 from streamlod.codec.mp4.sound import is_piece
 from streamlod.core.close_codes import REFUSALS, CloseCode
 from streamlod.core.errors import SessionError
+from streamlod.server.edge.ending import end
 from streamlod.server.edge.origin import Origin, OriginStream
 from streamlod.server.edge.supply import PacketTaker, Supply
 from streamlod.server.protocol.messages import LIVE, PROTOCOL_VERSION, SUBPROTOCOL, read_object
@@ -32,6 +34,7 @@ _OPEN_SECONDS = 5.0
 _CLOSE_SECONDS = 0.5
 _PING_SECONDS, _PONG_SECONDS = 5.0, 10.0  # a dead machine answers no ping
 _ACK_SECONDS = 0.5
+_PRESENT_SECONDS = 0.1  # between two views
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,9 +143,29 @@ async def _session(socket: ClientConnection, taker: PacketTaker) -> None:
     hello["sound"] = True
     await socket.send(json.dumps(hello | {"start": LIVE if held is None else held.to_json()}))
     welcome = await _welcome(socket)
-    taker.on_welcome(welcome, sent_ns)
+    presenting: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
+    taker.on_welcome(welcome, sent_ns, presenting.put_nowait)
     every = welcome.get("ack_every")
-    acks = _Acknowledgements(every if type(every) is int else 1)
+    speaking = asyncio.create_task(_present(socket, presenting))
+    try:
+        await _listen(socket, taker, _Acknowledgements(every if type(every) is int else 1))
+    finally:
+        await end(speaking)
+
+
+async def _present(socket: ClientConnection, messages: asyncio.Queue[dict[str, Any]]) -> None:
+    """Tell the origin what a viewer presents, the newest, so often that no viewer can make it a flood."""
+    with contextlib.suppress(ConnectionClosed):
+        while True:
+            message = await messages.get()
+            while not messages.empty():
+                message = messages.get_nowait()
+            await socket.send(json.dumps(message))
+            await asyncio.sleep(_PRESENT_SECONDS)
+
+
+async def _listen(socket: ClientConnection, taker: PacketTaker, acks: _Acknowledgements) -> None:
+    """Hand on what the origin sends, until the connection closes."""
     while True:
         message = None
         try:

@@ -13,7 +13,7 @@ from typing import Any
 from streamlod.core.errors import BitstreamError, SessionError
 from streamlod.server.edge.ending import end
 from streamlod.server.edge.origin import OriginStream, is_incarnation
-from streamlod.server.edge.supply import Supply
+from streamlod.server.edge.supply import Supply, Tell
 from streamlod.server.protocol.messages import event
 from streamlod.server.protocol.packets import Position, stream_packet
 from streamlod.server.protocol.presenting import Present, parse_presenting
@@ -71,7 +71,8 @@ class EdgeStream(Stream):
         self._clock_ahead_ns = 0  # of the origin's clock
         self._coming_epoch = 0  # of the packets that arrive
         self._joining = False  # until the first packet of a connection has been compared with what is held
-        self.together.is_local = False
+        self._session = ""  # of ours at the origin
+        self.together.open(False)
         self.update(described)
 
     @property
@@ -127,7 +128,7 @@ class EdgeStream(Stream):
         if self._task is not None:
             await end(self._task)
 
-    def on_welcome(self, message: dict[str, Any], sent_ns: int) -> None:
+    def on_welcome(self, message: dict[str, Any], sent_ns: int, present: Tell | None = None) -> None:
         """See `supply.PacketTaker`."""
         found = message.get("incarnation")
         if found != self.incarnation:
@@ -137,6 +138,9 @@ class EdgeStream(Stream):
         if type(told_ns) is int and abs(told_ns - now_ns) < _MAX_CLOCK_AHEAD_NS:
             self._clock_ahead_ns = told_ns - (sent_ns + now_ns) // 2
         self._joining = True
+        self._session = str(message.get("session"))[:_MAX_SESSION]
+        self.together.forward = None if present is None else lambda shown: present(shown.to_json())
+        self._on_right(message.get("together") if present else None)
         self._on_state(message)
 
     def on_event(self, message: dict[str, Any]) -> None:
@@ -182,6 +186,7 @@ class EdgeStream(Stream):
     def on_break(self, reason: str) -> None:
         """See `supply.PacketTaker`."""
         self._breaks += 1
+        self.together.open(False)
         self.together.relay(None, Present(None, None))
         self._enter(
             "degraded",
@@ -193,14 +198,19 @@ class EdgeStream(Stream):
             packet.data == data for packet in self.hub.window.read(position, position)
         )
 
+    def _on_right(self, told: object) -> None:
+        if isinstance(told, dict) and isinstance(may := told.get("may_present"), bool):
+            self.together.open(may)
+
     def _on_presenter(self, message: dict[str, Any]) -> None:
+        self._on_right(message)
         by = message.get("by")
         shown = {"type": "present", "view": message.get("view"), "at": message.get("at")}
         if by is None or (isinstance(by, str) and len(by) <= _MAX_SESSION):
             with contextlib.suppress(SessionError):  # a view that cannot be followed
                 found = parse_presenting(shown if by else {"type": "present"})
                 if isinstance(found, Present):
-                    self.together.relay(by, found)
+                    self.together.relay(by, found, is_ours=by == self._session)
 
     def _on_progress(self, message: dict[str, Any]) -> None:
         fraction, loss, text = message.get("fraction"), message.get("loss"), message.get("text")

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from streamlod.server.edge.origin import OriginStream
 from streamlod.server.protocol.packets import Position
 from streamlod.server.stream.bus import Bus
+
+Tell = Callable[[dict[str, Any]], None]
 
 
 class PacketTaker(Protocol):
@@ -16,8 +19,8 @@ class PacketTaker(Protocol):
     def held(self) -> Position | None:
         """Position of the newest packet that it has, from which to go on."""
 
-    def on_welcome(self, message: dict[str, Any], sent_ns: int) -> None:
-        """The origin has taken us; the hello left at Unix time `sent_ns`."""
+    def on_welcome(self, message: dict[str, Any], sent_ns: int, present: Tell | None = None) -> None:
+        """The origin has taken us; the hello left at Unix time `sent_ns`. `present` asks it to show a view."""
 
     def on_event(self, message: dict[str, Any]) -> None:
         """An event, in order with the packets."""

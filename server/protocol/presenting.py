@@ -42,6 +42,11 @@ class Present:
     view: dict[str, Any] | None
     at: Moment | None
 
+    def to_json(self) -> dict[str, Any]:
+        """The message."""
+        at = {} if self.at is None else {"at": self.at.to_json()}
+        return {"type": "present", "view": self.view, **at}
+
 
 @dataclass(frozen=True, slots=True)
 class Follow:

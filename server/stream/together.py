@@ -24,12 +24,16 @@ class Together:
         number: counts what was shown, so that each follower knows whether it has the newest.
         watchers: called when somebody else presents, or nobody any more.
         followers: called when there is something new to see.
-        is_local: whether viewers of this server present; otherwise those of its origin do.
+        forward: asks this server's origin to show what a viewer presents, which it does unless somebody else presents;
+            None where this server is the origin.
+        is_open: whether the origin lets us.
     """
 
     def __init__(self, is_offered: bool) -> None:
         self.is_offered = is_offered
-        self.is_local = True
+        self.forward: Callable[[Present], None] | None = None
+        self.is_open = True
+        self._asked: str | None = None  # session whose view the origin was asked to show
         self.watchers: set[Callable[[], None]] = set()
         self.by: str | None = None
         self.shown: dict[str, Any] = {}
@@ -41,25 +45,41 @@ class Together:
 
     def present(self, session: str, message: Present) -> bool:
         """Show what a viewer presents, or nothing more of it; False while somebody else presents."""
-        if self.by not in (None, session):
+        if (self._asked or self.by) not in (None, session):
             return False
         if message.view is None or message.at is None:
             self.leave(session)
+        elif self.forward is not None:
+            self._asked = session
+            self.forward(message)
         else:
             self._show(session, {"view": message.view, "at": message.at.to_json()})
         return True
 
-    def relay(self, by: str | None, message: Present) -> None:
-        """Show what a viewer of the origin presents, or that nobody does any more."""
+    def relay(self, by: str | None, message: Present, is_ours: bool = False) -> None:
+        """Show what the origin shows, or that nobody presents there any more; `is_ours`: what it was asked to show."""
+        if is_ours:
+            by, message = self._asked, message if self._asked else Present(None, None)
+        elif by is not None:
+            self._asked = None  # somebody else was first
         if message.view is None or message.at is None:
             if (by, self.by) != (None, None):
                 self._show(by, {})
         else:
             self._show(by, {"view": message.view, "at": message.at.to_json()})
 
+    def open(self, is_open: bool) -> None:
+        """The origin lets this server present, or no longer; nothing of ours is shown there any more."""
+        self.is_open, self._asked = is_open, None
+        for tell in tuple(self.watchers):
+            tell()
+
     def leave(self, session: str) -> None:
         """A viewer presents no more, if it did."""
-        if self.by == session:
+        if self._asked == session and self.forward is not None:
+            self._asked = None
+            self.forward(Present(None, None))
+        elif self.by == session:
             self._show(None, {})
 
     def _show(self, by: str | None, shown: dict[str, Any]) -> None:

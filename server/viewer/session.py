@@ -89,7 +89,7 @@ class ViewerSession:
         self._window_sent_at, self._window_sent = now, stream.newest
         self._allowance = Allowance(limits.messages_per_second, now)
         self._began_at = now
-        self.companion = Companion(stream.together, self.id, self._notify)
+        self.companion = Companion(stream.together, self.id, self._notify, self._relays)
         if self._relays:
             self.companion.take(Follow(True))
 

@@ -140,7 +140,7 @@ export class Session {
         status.together = message.together && { session: message.session ?? "", mayPresent: message.together.may_present, by: message.together.by ?? null, view: null, at: null };
         break;
       case "presenter":
-        if (status.together) Object.assign(status.together, { by: message.by ?? null, view: message.view ?? null, at: message.at ?? null });
+        if (status.together) Object.assign(status.together, { mayPresent: message.may_present ?? status.together.mayPresent, by: message.by ?? null, view: message.view ?? null, at: message.at ?? null });
         break;
       case "state":
         this.#streamState(message.state, message.detail);

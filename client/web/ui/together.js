@@ -67,6 +67,7 @@ export class Together {
   }
 
   #present() {
+    if (!this.known?.mayPresent) return; // an edge that has lost its origin
     const { pose: { position, rotation, distance, focal, stretch, shift }, status } = this.viewer, place = status?.position;
     const at = status?.mode === "live" || !place ? { mode: "live" } : { mode: status.mode, ...place };
     // Who follows replays by itself, and needs to know now and then where.
@@ -87,6 +88,7 @@ export class Together {
       this.sent = "";
     } else if (known && this.role === "presenting" && known.by !== null && known.by !== known.session) this.#leave("Somebody else presents already");
     else if (known && this.role === "following" && before?.by && !known.by) this.#leave("The presenter has left");
+    if (known && this.role === "presenting" && known.by === null) this.sent = ""; // the server has forgotten
     if (known && this.role === "following" && known.view) this.#follow(known);
     this.#show();
   }

@@ -10,7 +10,7 @@ import pytest
 
 from streamlod.codec.container import SlodWriter
 from streamlod.server.pipeline.spec import StreamSpec
-from streamlod.server.settings import Settings
+from streamlod.server.settings import EdgeSettings, Settings
 from tests.client.web.conftest import Console
 from tests.client.web.miniserver import make_clip
 from tests.client.web.scenes import make_scene
@@ -105,6 +105,25 @@ def test_who_leaves_presents_no_more_and_another_may(pair: tuple[Any, Any]) -> N
     says(second, "")
     second.locator("#b-together").click()
     says(second, "You present")
+
+
+def test_who_watches_at_an_edge_presents_to_all(pair: tuple[Any, Any], page: Any, server: Running) -> None:
+    """The button comes once the origin lets the edge."""
+    settings = Settings(edge=EdgeSettings(origin=server.url, linger_seconds=0), together=True)
+    with running(settings) as edge:
+        edge.wait(lambda stream: stream.get("id") == "main")
+        page.set_viewport_size({"width": 900, "height": 500})
+        page.goto(f"{edge.url}/?together=1&sway=0&quality=high")
+        page.locator("#b-together").click(**WAIT)
+        says(page, "You present")
+        follower = pair[0]
+        says(follower, "Somebody presents")
+        follower.locator("#b-together").click()
+        page.evaluate("streamlod.setCamera(3)")
+        looks_from(follower, page.evaluate(PLACE))
+        assert page.evaluate(CHIP) == "You present"
+        page.goto("about:blank")
+        says(follower, "")
 
 
 def test_a_server_that_does_not_offer_it_shows_no_button(page: Any, recording: Path) -> None:

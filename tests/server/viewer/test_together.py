@@ -183,20 +183,85 @@ def test_nobody_presents_where_it_is_not_offered_or_without_the_right(slow_clip:
             assert closed_with(viewer) == 4403
 
 
-def test_an_edge_passes_on_who_presents_at_its_origin(server: Running) -> None:
+@contextmanager
+def edge_of(server: Running) -> Iterator[Running]:
+    """An edge that has the stream."""
     settings = Settings(edge=EdgeSettings(origin=server.url, linger_seconds=0), together=True)
     with running(settings) as edge:
         edge.wait(lambda stream: stream.get("id") == "main")
-        with joined(edge) as follower, joined(server) as presenter:
-            follower.send(type="follow", on=True)
-            assert follower.welcome["together"]["may_present"] is False
-            follower.next_packet()
+        yield edge
+
+
+def test_an_edge_passes_on_who_presents_at_its_origin(server: Running) -> None:
+    with edge_of(server) as edge, joined(edge) as follower, joined(server) as presenter:
+        follower.send(type="follow", on=True)
+        follower.next_packet()
+        present(presenter)
+        assert shown_to(follower, by=presenter.welcome["session"])["view"] == VIEW
+        present(follower)  # in vain
+        presenter.send(type="present", view=None)
+        assert shown_to(follower, by=None)["by"] is None
+
+
+def test_who_presents_at_an_edge_is_followed_everywhere(server: Running) -> None:
+    """At the origin, at this edge and at another one; until it goes, and one at a time."""
+    with (
+        edge_of(server) as edge,
+        edge_of(server) as far,
+        joined(server) as at_origin,
+        joined(far) as at_far,
+        joined(edge) as beside,
+    ):
+        for viewer in (at_origin, at_far, beside):
+            viewer.send(type="follow", on=True)
+        with joined(edge) as presenter:
+            shown_to(beside, may_present=True)
             present(presenter)
-            assert shown_to(follower, by=presenter.welcome["session"])["view"] == VIEW
-            presenter.send(type="present", view=None)
-            assert shown_to(follower, by=None)["by"] is None
-            present(follower)
-            assert closed_with(follower) == 4403
+            shown_to(beside, by=presenter.welcome["session"], view=VIEW)
+            there = shown_to(at_origin, view=VIEW)["by"]
+            assert shown_to(at_far, view=VIEW)["by"] == there
+            present(beside, focal=9.0)
+            assert shown_to(beside)["by"] == presenter.welcome["session"]
+            present(at_origin, focal=9.0)
+            assert shown_to(at_origin)["by"] == there
+            for focal in (2.0, 3.0):
+                present(presenter, focal=focal)
+            assert shown_to(at_far, by=there)["view"]["focal"] in (2.0, 3.0)
+        for viewer in (at_origin, at_far, beside):
+            assert shown_to(viewer, by=None)["by"] is None
+        assert all(event.get("view", VIEW)["focal"] != 9.0 for event in at_origin.named("presenter"))
+        present(beside)
+        shown_to(beside, by=beside.welcome["session"])
+
+
+def test_an_edge_whose_right_is_withdrawn_presents_no_more_and_stays_connected(
+    slow_clip: Clip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def allow(*rights: str) -> None:
+        entry = {"name": "edge", "sha256": hash_token("edge"), "rights": rights, "streams": "*"}
+        (tmp_path / "tokens.json").write_text(json.dumps([entry]))
+
+    monkeypatch.setenv("STREAMLOD_TOKEN", "edge")
+    allow("read", "present")
+    settings = Settings(together=True, tokens=tmp_path / "tokens.json")
+    header = {"Authorization": "Bearer edge"}
+    with (
+        running(settings, StreamSpec(play=slow_clip.path, loop=True)) as origin,
+        edge_of(origin) as edge,
+        joined(edge) as viewer,
+        viewing(origin, additional_headers=header) as relay,
+    ):
+        relay.hello(relay=True)
+        shown_to(viewer, may_present=True)
+        present(viewer)
+        shown_to(viewer, by=viewer.welcome["session"])
+        allow("read")
+        for late in (viewer, relay):
+            shown_to(late, by=None)
+            present(late)  # as who had not heard of it would
+            assert shown_to(late)["by"] is None
+            late.next_packet()
+        assert edge.registry.streams["main"].restarts == 0
 
 
 def test_a_program_in_python_follows(server: Running) -> None:
