@@ -33,7 +33,7 @@ _MAX_SOUND_BYTES = 1 << 30
 
 
 class ServerClient:
-    """One server.
+    """REST of one server.
 
     All methods raise RequestRefused where the server refuses, and InputError where it cannot be reached or is another
     program than streamlod.

@@ -107,7 +107,7 @@ def _last_run(parts: list[PlaylistPart]) -> list[PlaylistPart]:
 
 
 def _later(packets: Iterable[bytes], newest: PacketInfo | None) -> Iterator[bytes]:
-    """Those that were not among the parts of the same group."""
+    """Packets that were not among the parts of the same group."""
     for packet in packets:
         info = peek(packet)
         if newest is None or info.identifier != newest.identifier or info.to_version > newest.to_version:

@@ -12,7 +12,7 @@ BASE = "balanced"
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One configuration to measure.
+    """A configuration to measure.
 
     Attributes:
         name: in tables and plots. knob: the setting that was varied, or ``preset``.

@@ -17,7 +17,7 @@ _FINER = 16  # rounding to a 16th of a step changes nothing that a picture shows
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One system.
+    """A row of a study: one system.
 
     Attributes:
         name: in the tables. note: what differs from ours.

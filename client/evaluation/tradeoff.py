@@ -149,7 +149,7 @@ def _draw(out: Path, value: dict[str, Any]) -> None:
 
 
 def fronts(points: Sequence[dict[str, Any]]) -> dict[str, list[str]]:
-    """For each cost the names of the points on the front of PSNR against it, by rising cost."""
+    """Names of the points, for each cost, on the front of PSNR against it, by rising cost."""
     found = {}
     for cost in COSTS:
         known = [point for point in points if point[cost.key] is not None]

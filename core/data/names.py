@@ -41,7 +41,7 @@ def folders_in(folder: Path) -> list[Path]:
 
 
 def like_most(folders: Sequence[Path]) -> list[Path]:
-    """Those of `folders` whose names differ only in their digits, if that is more than half of them; else all.
+    """Folders of `folders` whose names differ only in their digits, if that is more than half of them; else all.
 
     Names without digits count only where none has any, as a system's own folders have none (``@eaDir``).
     """
@@ -69,7 +69,7 @@ def camera_names(names: Sequence[str]) -> list[str]:
 
 
 def _printable(name: str) -> str:
-    """On one line, without what cannot be shown."""
+    """A name on one line, without what cannot be shown."""
     text = name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
     return "".join(character if character.isprintable() else "\ufffd" for character in text)
 

@@ -161,7 +161,7 @@ async def retained(stream: Stream) -> list[RetainedGroup]:
 
 
 def without_previews(groups: list[RetainedGroup]) -> list[RetainedGroup]:
-    """Those that were recorded, if any were: early previews do not count beside them."""
+    """Recorded groups, if there are any: early previews do not count beside them."""
     return [group for group in groups if group.begun_ns is not None] or groups
 
 

@@ -89,7 +89,7 @@ async def delete_recording(
 
 
 def _recordings(registry: Registry) -> dict[str, Recording]:
-    """By stream."""
+    """Recordings by stream."""
     running = {name: stream.bus.recording for name, stream in registry.streams.items() if stream.bus.recording}
     return {**registry.kept, **running}
 

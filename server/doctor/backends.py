@@ -23,7 +23,7 @@ _ROUNDS = 3
 
 
 def check_backends(device: str, quick: bool) -> Iterator[Finding]:
-    """Both backends: whether they are there, whether their gradients are right, how fast they are.
+    """Findings on both backends: whether they are there, whether their gradients are right, how fast they are.
 
     Args:
         device: ``auto``, ``cpu`` or ``cuda``; a missing backend is a fault only where ``cuda`` was named.

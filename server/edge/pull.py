@@ -137,7 +137,7 @@ async def pull(origin: Origin, stream: str, packet_bytes: int, taker: PacketTake
 
 
 async def _session(socket: ClientConnection, taker: PacketTaker) -> None:
-    """One connection, until it closes."""
+    """Pull over one connection until it closes."""
     held, sent_ns = taker.held, time.time_ns()
     hello = {"type": "hello", "versions": [PROTOCOL_VERSION], "client": "streamlod-edge/1", "relay": True}
     hello["sound"] = True

@@ -40,7 +40,7 @@ class Supply(Protocol):
 
     @property
     def origin_name(self) -> str:
-        """Where they come from, as viewers are told."""
+        """Name of the server that the streams come from, as viewers are told."""
 
     @property
     def bus(self) -> Bus:
@@ -55,10 +55,10 @@ class StreamSource(Protocol):
 
     @property
     def name(self) -> str:
-        """The error as everybody may hear it: without addresses."""
+        """Its name in the log, such as "the origin"."""
 
     async def streams(self) -> list[OriginStream]:
-        """All of them.
+        """All streams that are supplied.
 
         Raises:
             OSError: that cannot be found out now.

@@ -10,6 +10,7 @@ from typing import Any
 
 from streamlod.core.close_codes import CloseCode
 from streamlod.core.errors import SessionError
+from streamlod.server.protocol.fields import flag, whole
 from streamlod.server.protocol.packets import Position
 from streamlod.server.protocol.presenting import Follow, Present, parse_presenting
 from streamlod.server.protocol.thin_messages import Pick, Shown, ViewMessage, parse_view_message
@@ -20,7 +21,6 @@ LIVE = "live"
 ACK_EVERY = 32  # packets
 
 _MIN_SPEED, _MAX_SPEED = 0.125, 8.0  # of a replay
-_MAX_INTEGER = 2**53  # the largest integers that every JSON reader keeps exactly
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +97,8 @@ def parse_hello(text: str) -> Hello:
     client = message.get("client", "")
     if not isinstance(client, str) or len(client) > 200 or not client.isprintable():  # because it is logged
         raise SessionError(CloseCode.BAD_MESSAGE, "client must be a string of at most 200 printable characters")
-    start, pictures = _target(message.get("start", LIVE), "start"), _flag(message, "pictures")
-    flags = pictures, _flag(message, "relay"), _flag(message, "sound")
+    start, pictures = _target(message.get("start", LIVE), "start"), flag(message, "pictures")
+    flags = pictures, flag(message, "relay"), flag(message, "sound")
     return Hello(client, start, _levels(message), _rate(message), *flags)
 
 
@@ -111,12 +111,12 @@ def parse_control(text: str) -> Control:
     message = read_object(text)
     match message.get("type"):
         case "ack" if "picture" not in message:
-            return Ack(_integer(message.get("bytes"), "bytes"))
+            return Ack(whole(message.get("bytes"), "bytes"))
         case "set":
             given = frozenset(message) & {"levels", "kilobytes_per_second", "speed", "sound"}
-            return Set(_levels(message), _rate(message), given, _speed(message), _flag(message, "sound"))
+            return Set(_levels(message), _rate(message), given, _speed(message), flag(message, "sound"))
         case "seek":
-            return Seek(_target(message.get("to"), "to"), _flag(message, "stop"))
+            return Seek(_target(message.get("to"), "to"), flag(message, "stop"))
         case "pause" | "play" as kind:
             return Pause() if kind == "pause" else Play()
         case "ack" | "view" | "pick":
@@ -177,25 +177,12 @@ def _refuse_constant(name: str) -> float:
 _READER = json.JSONDecoder(parse_constant=_refuse_constant)
 
 
-def _integer(value: object, name: str) -> int:
-    if type(value) is not int or not 0 <= value <= _MAX_INTEGER:
-        raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must be an integer of at least 0")
-    return value
-
-
-def _flag(message: dict[str, Any], name: str) -> bool:
-    value = message.get(name, False)
-    if not isinstance(value, bool):
-        raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must be true or false")
-    return value
-
-
 def _target(value: object, name: str) -> Position | None:
     if value == LIVE:
         return None
     if not isinstance(value, dict):
         raise SessionError(CloseCode.BAD_MESSAGE, f'{name} must be "live" or a position')
-    return Position(_integer(value.get("epoch"), "epoch"), _integer(value.get("version"), "version"))
+    return Position(whole(value.get("epoch"), "epoch"), whole(value.get("version"), "version"))
 
 
 def _levels(message: dict[str, Any]) -> int | None:

@@ -12,8 +12,8 @@ import numpy as np
 
 from streamlod.core.close_codes import CloseCode
 from streamlod.core.errors import SessionError
+from streamlod.server.protocol.fields import numbers
 from streamlod.server.protocol.packets import Position
-from streamlod.server.protocol.thin_messages import numbers
 
 _MAX_COORDINATE = 1e9  # world units
 _MIN_LENGTH, _MAX_LENGTH = 1e-6, 1e9

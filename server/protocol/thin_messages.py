@@ -5,7 +5,6 @@ All numbers are checked against limits first, because they decide how much the s
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,11 +14,11 @@ from streamlod.core.arrays import Float64
 from streamlod.core.camera import Camera, pinhole
 from streamlod.core.close_codes import CloseCode
 from streamlod.core.errors import InputError, SessionError
+from streamlod.server.protocol.fields import numbers, whole
 
 _MAX_SIDE = 8192  # pixels
 _MAX_COORDINATE = 1e9  # world units
 _FOCAL = (0.05, 50.0)  # fractions of the longer side
-_MAX_INTEGER = 2**53
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +55,7 @@ def parse_view_message(message: dict[str, Any]) -> ViewMessage | Shown | Pick:
             return _view(message)
         case "pick":
             return _pick(message)
-    return Shown(_whole(message.get("picture"), "picture"))
+    return Shown(whole(message.get("picture"), "picture"))
 
 
 def _view(message: dict[str, Any]) -> ViewMessage:
@@ -79,32 +78,10 @@ def _pick(message: dict[str, Any]) -> Pick:
     length = float(np.linalg.norm(direction))
     if length < 1e-3:
         raise SessionError(CloseCode.BAD_MESSAGE, "direction must not be zero")
-    return Pick(_whole(message.get("id"), "id"), origin, direction / length)
-
-
-def numbers(message: dict[str, Any], name: str, count: int, largest: float) -> list[float]:
-    """The numbers of a field.
-
-    Raises:
-        SessionError: 4400, there are others than `count`, or some are larger than `largest`.
-    """
-    values = message.get(name)
-    if not isinstance(values, list) or len(values) != count:
-        raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must be a list of {count} numbers")
-    for value in values:
-        good = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if not good or not abs(value) <= largest or math.isnan(value):
-            raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must hold numbers of at most {largest:g}")
-    return [float(value) for value in values]
+    return Pick(whole(message.get("id"), "id"), origin, direction / length)
 
 
 def _side(value: object, name: str) -> int:
     if type(value) is not int or not 1 <= value <= _MAX_SIDE:
         raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must be an integer from 1 to {_MAX_SIDE}")
-    return value
-
-
-def _whole(value: object, name: str) -> int:
-    if type(value) is not int or not 0 <= value <= _MAX_INTEGER:
-        raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must be an integer of at least 0")
     return value

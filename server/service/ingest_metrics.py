@@ -35,7 +35,7 @@ _OF_CAMERAS: tuple[Family, ...] = (
 
 
 def ingest_families(streams: Mapping[str, _Figures | None]) -> Iterable[Metric]:
-    """All families, with the labels stream and, for a camera's, camera.
+    """All families of metrics, with the labels stream and, for a camera's, camera.
 
     Args:
         streams: what each stream's worker told last, as `Statistics` in JSON; None where it is not live.

@@ -63,7 +63,7 @@ class StreamCollector(Collector):
         self._registry, self._grant = registry, grant
 
     def collect(self) -> Iterable[Metric]:
-        """All families."""
+        """All families of metrics."""
         streams = {
             name: stream for name, stream in self._registry.streams.items() if self._grant.allows(Right.METRICS, name)
         }

@@ -15,7 +15,7 @@ MAX_EVENTS = 1000  # that are kept for readers who come back
 
 @dataclass(frozen=True, slots=True)
 class ServerEvent:
-    """One event.
+    """An event of the server.
 
     Attributes:
         id: the run of the server and a number that counts up in it, as in ``5f1c9a02-17``.

@@ -171,7 +171,7 @@ class Stream:
         }
 
     def fail(self, why: str) -> None:
-        """It does not run, for a reason that its viewers and its owner are told."""
+        """Tell its viewers and its owner why it does not run."""
         self._enter("failed", why)
 
     def now_ns(self) -> int:

@@ -29,7 +29,7 @@ class TimeRange:
         return self.begin_ns is None and self.end_ns is None
 
     def choose(self, groups: Sequence[_T]) -> list[_T]:
-        """Those recorded groups of which some part lies in the range; one lasts until the next begins."""
+        """Recorded groups of which some part lies in the range; one lasts until the next begins."""
         recorded = [(group.begun_ns, group) for group in groups if group.begun_ns is not None]
         ends = [*(begun for begun, _ in recorded[1:]), None]
         return [

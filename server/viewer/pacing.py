@@ -85,7 +85,7 @@ class LevelControl:
         return self.levels < self.wanted and now - self.quiet_since >= self.calm_seconds
 
     def raise_level(self, now: float) -> None:
-        """Another level is being sent; all wanted ones, if the viewer has just asked for them."""
+        """Send another level; all wanted ones, if the viewer has just asked for them."""
         self.levels = self.wanted if self.asked else min(self.levels + 1, self.wanted)
         self.asked = False
         self.raised_at = self.quiet_since = now

@@ -35,12 +35,12 @@ class Demand:
 
     @property
     def stream_bytes(self) -> float:
-        """Of a stream, per second."""
+        """Bytes of a stream, per second."""
         return self.kbps * 1000 / 8
 
     @property
     def shares(self) -> Float64:
-        """Of each stream in all viewers."""
+        """The share of each stream in all viewers."""
         weights = np.arange(1, self.streams + 1, dtype=np.float64) ** -self.popularity
         return weights / weights.sum()
 

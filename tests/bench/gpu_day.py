@@ -158,7 +158,7 @@ PARTS: dict[str, Callable[[str, Sizes], Figures]] = {
 
 
 def _milliseconds(device: str, run: Callable[[int], None]) -> float:
-    """Of a step, the mean over a frame's worth of them, after some to warm up; waits at the end only."""
+    """Milliseconds of a step, the mean over a frame's worth of them, after some to warm up; waits at the end only."""
     for number in range(3):
         run(number)
     wp.synchronize_device(device)
@@ -170,7 +170,7 @@ def _milliseconds(device: str, run: Callable[[int], None]) -> float:
 
 
 def _host_milliseconds(device: str, run: Callable[[int], None]) -> float:
-    """That the host is busy with a step, with the device idle before and nobody waiting for it."""
+    """Milliseconds that the host is busy with a step, with the device idle before and nobody waiting for it."""
     wp.synchronize_device(device)
     begin = time.perf_counter()
     for number in range(STEPS):

@@ -47,7 +47,7 @@ class Keyframes:
         self.sizes, self.seconds = list[int](), 0.0
 
     def follow(self, trainer: Trainer, before: Scene, frame: FrameSet) -> None:
-        """After `frame`, which led on from the state `before`."""
+        """Count the refresh keyframe after `frame`, which led on from the state `before`, if one is due."""
         if self._refresh.due(before, trainer.scene) is None:
             return
         begin = time.process_time()

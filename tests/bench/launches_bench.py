@@ -43,7 +43,7 @@ REFINING = (
 
 @dataclass(frozen=True)
 class Figures:
-    """Of a frame's training steps, without what is done in one of many; `refining` is that, and `rest` all else."""
+    """Counts of a frame's training steps: without what is done in one of many, `refining`; `rest` is all else."""
 
     steps: int
     step: Counts

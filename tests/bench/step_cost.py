@@ -27,7 +27,7 @@ DEVICES = {"H100": (3.35e12, 67e12), "RTX 4070": (504e9, 29e12), "RTX 4060 lapto
 
 @dataclass(frozen=True)
 class Cost:
-    """Of one kernel in a step."""
+    """The cost of one kernel in a step."""
 
     bytes: float
     operations: float

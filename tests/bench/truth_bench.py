@@ -130,7 +130,7 @@ def errors(truth: Truth, sample: dict[str, Any]) -> dict[str, float | None]:
 
 
 def _seconds(text: str) -> float | None:
-    """Of `3.2 s` or `1:02.5`, with or without a minus."""
+    """Seconds of `3.2 s` or `1:02.5`, with or without a minus."""
     text = text.removesuffix(" old").strip("\u2212- s")
     if not text:
         return None

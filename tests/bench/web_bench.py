@@ -138,7 +138,7 @@ WATCH_JOIN = """addEventListener("DOMContentLoaded", () => {
 
 
 def median(values: list[float]) -> float:
-    """Of a list."""
+    """The upper median of a list."""
     return sorted(values)[len(values) // 2]
 
 

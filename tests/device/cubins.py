@@ -19,7 +19,7 @@ _FUNCTION = re.compile(r"Function (\w+?)_[0-9a-f]{8}_cuda_kernel_forward:\s*REG:
 
 @dataclass(frozen=True)
 class Usage:
-    """Of one thread of a kernel: registers, and bytes of the stack, where what has no register lies."""
+    """What one thread of a kernel uses: registers, and bytes of the stack, where what has no register lies."""
 
     registers: int
     stack: int

@@ -85,7 +85,7 @@ def _alone(name: str, seconds: float, seed: int) -> Iterator[int]:
 
 
 def _processor_seconds() -> float:
-    """Of this process and of those that it has waited for."""
+    """Processor seconds of this process and of those that it has waited for."""
     return sum(os.times()[:4])
 
 

@@ -215,7 +215,7 @@ def recorded_version(folder: Path) -> int:
 
 
 def next_version(viewer: Viewer) -> int:
-    """Of the next packet that a viewer gets."""
+    """The version of the next packet that a viewer gets."""
     while not isinstance(packet := viewer.step(), bytes):
         pass
     return peek(packet).to_version

@@ -114,7 +114,7 @@ def _document(title: str, x: Axis, y: Axis, draw: Callable[[Axes], None]) -> str
 
 
 def _space_ticks(side: MatplotlibAxis) -> None:
-    """On a logarithmic axis, 1, 2 and 5 times each power of ten; the powers or round values where these do not suit."""
+    """Ticks at 1, 2 and 5 times each power of ten; the powers or round values where these do not suit."""
     from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
     low, high = side.get_data_interval()

@@ -62,7 +62,7 @@ class Observations:
     since: Float64
 
     def kept(self, rows: Bool) -> Observations:
-        """Those of the mask `rows` [N]."""
+        """The part of a problem whose rows the mask `rows` [N] names."""
         return Observations(*(getattr(self, name)[rows] for name in self.__slots__))
 
 

@@ -9,12 +9,12 @@ import numpy as np
 
 from streamlod.core.arrays import Float64
 
-LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 _MIN_DEPTH = 1e-6
 
 
 def project(lens: Float64, points: Float64) -> Float64:
-    """[N,2] pixels of `points` [N,3] in camera axes by `lens` [N,9] or [9], in the order of `LENS`."""
+    """[N,2] pixels of `points` [N,3] in camera axes by `lens` [N,9] or [9], in the order
+    fx, fy, cx, cy, k1, k2, p1, p2, k3."""
     return projected(lens, points)[0]
 
 

@@ -75,7 +75,7 @@ def residual(pair: PairMatches, first: Camera, second: Camera) -> float:
 
 
 def features_of(picture: UInt8, most: int) -> Features:
-    """At most so many features of a picture [H,W,3]."""
+    """The strongest features, at most so many, of a picture [H,W,3]."""
     points, descriptors = cv2.SIFT.create(most).detectAndCompute(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), None)
     return Features(np.array([point.pt for point in points], np.float64).reshape(-1, 2) + 0.5, descriptors)
 

@@ -75,7 +75,7 @@ def nearest(pictures: Iterator[tuple[int, T]], grid: Grid) -> Iterator[tuple[int
 
 
 def picked(pictures: Iterator[tuple[int, T]], wanted: Sequence[int]) -> Iterator[T | None]:
-    """For each of the ascending numbers `wanted`, the picture of that number, or None where there is none."""
+    """The pictures of the ascending numbers `wanted`, None for each that is not there."""
     current = next(pictures, None)
     for number in wanted:
         while current is not None and current[0] < number:

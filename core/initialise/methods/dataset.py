@@ -14,7 +14,7 @@ class DatasetPoints:
     """The data set's own points as they are."""
 
     def find(self, sources: PointSources) -> PointCloud:
-        """Those points.
+        """The points that the data set brings.
 
         Raises:
             InputError: the data set has none.

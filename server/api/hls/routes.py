@@ -51,7 +51,7 @@ class Playlists:
         self._numbers: WeakKeyDictionary[Stream, SegmentNumbers] = WeakKeyDictionary()
 
     def numbers(self, stream: Stream) -> SegmentNumbers:
-        """Those of a stream."""
+        """Segment numbers of a stream."""
         return self._numbers.setdefault(stream, SegmentNumbers())
 
 

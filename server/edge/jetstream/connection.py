@@ -22,7 +22,7 @@ _MAX_SAID = 100  # faults that the log has of one connection
 
 
 class NatsConnection:
-    """One connection of this server, for everything.
+    """The connection to NATS, of which a server has one for everything.
 
     Attributes:
         fault: what NATS, or the attempt to reach it, said last; empty once it answers.

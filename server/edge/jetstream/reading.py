@@ -95,7 +95,7 @@ async def _consume(
     finite: bool = False,
     end: int | None = None,
 ) -> AsyncGenerator[Msg, None]:
-    """One consumer's messages.
+    """Messages of one consumer, as they come.
 
     If it is `finite`, it ends where there are none, at once or when a request expires without one: those that were
     pending may have been discarded meanwhile.

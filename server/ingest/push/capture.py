@@ -28,7 +28,7 @@ _SECOND_NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """One picture: capture time in nanoseconds since 1970, and the encoded picture."""
+    """A captured picture: capture time in nanoseconds since 1970, and the encoded picture."""
 
     capture_ns: int
     codec: Codec

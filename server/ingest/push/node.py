@@ -80,7 +80,7 @@ class _Node:
     _delay: float = _MIN_DELAY
 
     def run(self, start_ns: int) -> None:
-        """Until the source ends."""
+        """Push until the source ends."""
         try:
             for sequence, taken in enumerate(self.camera.pictures(start_ns)):
                 self._send(sequence, taken)

@@ -57,7 +57,7 @@ class Counts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Instant:
-    """One instant.
+    """A closed instant.
 
     Attributes:
         number: increases by one each period, across gaps and clock steps too.

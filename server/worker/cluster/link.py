@@ -114,7 +114,7 @@ def _shows(found: socket.socket, secret: bytes) -> bool:
 
 
 def _connection(found: socket.socket) -> Connection:
-    """For messages; blocks, and ends soon after the other machine has vanished."""
+    """A connection for messages; blocks, and ends soon after the other machine has vanished."""
     found.settimeout(None)
     found.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     found.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)

@@ -24,7 +24,7 @@ class Shortage:
     ways: tuple[tuple[str, ...], ...] = ()
 
     def sentence(self, may_see: Callable[[str], bool] = lambda _: False) -> str:
-        """For somebody who may see these streams; by default for everybody."""
+        """The refusal for somebody who may see these streams; by default for everybody."""
         ways = [" and ".join(way) for way in self.ways if all(map(may_see, way))]
         if self.ways:
             return f"{self.text}; stop {', or '.join(ways) or 'other streams, or add a node'}"
@@ -79,7 +79,7 @@ def shortage(needed: Amounts, nodes: Mapping[str, Amounts], holdings: Sequence[H
 
 
 def in_words(amounts: Amounts) -> str:
-    """Such as "2 CPU and 0.5 GPU"."""
+    """Resources in words, such as "2 CPU and 0.5 GPU"."""
     return " and ".join(f"{amount:g} {name}" for name, amount in amounts.items())
 
 

@@ -28,7 +28,7 @@ TEXTS = ("#status-text", "#stream-name", "#t-time", "#t-live-text", "#stats dt",
 
 
 def luminance(colour: tuple[float, ...]) -> float:
-    """Of an sRGB colour, 0 to 1 (WCAG 2.2, relative luminance)."""
+    """The luminance of an sRGB colour, 0 to 1 (WCAG 2.2, relative luminance)."""
     linear = [x / 12.92 if x <= 0.04045 else ((x + 0.055) / 1.055) ** 2.4 for x in (c / 255 for c in colour)]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 

@@ -19,7 +19,6 @@ FIELD_MARGIN = wp.constant(float(rules.FIELD_MARGIN))
 COLOUR_MAX, FINITE = wp.constant(float(rules.COLOUR_MAX)), wp.constant(float(rules.FINITE))
 MIN_DETERMINANT = wp.constant(1e-12)  # pixels^4; flatter ellipses cannot be inverted
 TILE_X, TILE_Y = wp.constant(TILE_WIDTH), wp.constant(TILE_HEIGHT)
-TILE_PIXELS = wp.constant(TILE_WIDTH * TILE_HEIGHT)
 SLACK = wp.constant(1e-3)  # of a tile, against rounding where an ellipse touches a tile's edge
 NO_KEY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))  # behind all keys of a sorted list
 NOWHERE = wp.constant(3.0e38)  # the depth of what follows the last Gaussian of a list
@@ -28,8 +27,6 @@ NOWHERE = wp.constant(3.0e38)  # the depth of what follows the last Gaussian of 
 FOCAL_X, FOCAL_Y, CENTRE_X, CENTRE_Y = (wp.constant(k) for k in range(12, 16))
 GAIN, OFFSET, BACKGROUND = wp.constant(16), wp.constant(19), wp.constant(22)
 CAMERA_NUMBERS = 25
-
-SUMS = wp.constant(rules.SUMS)  # a Gaussian: dL/dcolour 3, then moments of dL/dsigma: 1, x, y, xx, xy, yy
 
 
 @wp.struct

@@ -80,7 +80,7 @@ class Nats:
     servers: list[NatsServer] = field(default_factory=list)
 
     def settings(self, **changes: object) -> Settings:
-        """Of a node that shares its streams over these servers."""
+        """Settings of a node that shares its streams over these servers."""
         shared = {"servers": [each.url for each in self.servers], "linger_seconds": 1.0, "replicas": len(self.servers)}
         return Settings(bus="jetstream", jetstream=JetStreamSettings(**shared), retention=RETENTION, **changes)
 

@@ -62,7 +62,7 @@ def stored(settings: Settings, stream: str = "main") -> list[tuple[str, bytes]]:
 
 
 def waiting_bytes(node: Node, stream: str = "main") -> float:
-    """Of packets that JetStream has not acknowledged yet."""
+    """Bytes of packets that JetStream has not acknowledged yet."""
     name = f'streamlod_outbox_bytes{{stream="{stream}"}} '
     return next(float(line[len(name) :]) for line in node.get("/metrics").text.splitlines() if line.startswith(name))
 

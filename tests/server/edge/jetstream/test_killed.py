@@ -64,7 +64,7 @@ def keeps_coming(packets: list[bytes], count: int = 30, seconds: float = 20) -> 
 
 
 def newest(server: Node) -> Position:
-    """Of a stream, at this server."""
+    """The newest position of a stream at this server."""
     told = server.stream()
     return Position(told["epoch"], told["version"])
 
