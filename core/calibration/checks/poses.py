@@ -21,6 +21,7 @@ from streamlod.core.camera import Camera
 
 _OFF = 3.0  # pixels at a width of 1000, beyond which poses do not hold
 _BETTER = 0.5
+_ELSEWHERE = 30.0  # pixels at a width of 1000, from which a picture may well be another camera's
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,16 +83,15 @@ def judged(
         )
         return
     for group in groups:
-        lies = f"lies {_among(agreed, group):.1f} pixels (at a width of 1000) from where"
+        miss, again = _among(agreed, group), "calibrate again"
+        if miss > _ELSEWHERE:
+            again = "put the names right if another camera filmed this, else calibrate again"
+        lies = f"lies {miss:.1f} pixels (at a width of 1000) from where"
         if len(group) == 1:
-            yield fault(
-                f"{names[group[0]]} was knocked or turned: what it sees {lies} its pose puts it; calibrate again"
-            )
+            yield fault(f"{names[group[0]]} was knocked or turned: what it sees {lies} its pose puts it; {again}")
         else:
             some = f"{', '.join(names[number] for number in group[:-1])} and {names[group[-1]]}"
-            yield fault(
-                f"one of {some} was knocked or turned: what they see {lies} their poses put it; calibrate again"
-            )
+            yield fault(f"one of {some} was knocked or turned: what they see {lies} their poses put it; {again}")
 
 
 def _suspects(agreed: Sequence[Agreement], count: int) -> Iterator[list[int]]:

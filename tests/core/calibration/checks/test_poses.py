@@ -74,6 +74,13 @@ def test_neighbours_in_a_row_that_are_exchanged_are_named(row: Shared) -> None:
     assert sentence.startswith("cam_1 and cam_2 are exchanged")
 
 
+def test_a_picture_that_is_far_off_may_be_another_cameras(row: Shared) -> None:
+    cameras, pairs = row
+    for degrees, expected in ((2.0, False), (25.0, True)):
+        (sentence,) = faults(pairs, knocked(cameras, 1, np.array([degrees, 0, 0]), np.zeros(3)))
+        assert ("names right if another camera filmed this" in sentence) == expected, sentence
+
+
 def test_two_knocked_cameras_are_named() -> None:
     cameras = room.cameras()
     pairs = matched(room.frames(cameras, 1)[0].images)
