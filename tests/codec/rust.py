@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
+import shutil
 import struct
 import subprocess
+import tempfile
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 CRATE = Path(__file__).parents[2] / "codec" / "rust"
 
 
-def build(folder: Path) -> Path:
-    """Compile it into `folder` with what is there, from no registry; the program."""
+@cache
+def program() -> Path:
+    """The program, compiled once by this process with what is there, from no registry; it goes with the process."""
+    folder = Path(tempfile.mkdtemp())
+    atexit.register(shutil.rmtree, folder)
     command = ["cargo", "build", "--release", "--offline", "--quiet"]
     environment = {**os.environ, "CARGO_TARGET_DIR": str(folder)}
     done = subprocess.run(command, cwd=CRATE, env=environment, capture_output=True, text=True, check=False, timeout=500)

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from tests.codec.rust import CRATE, build, outcomes, read_file
+from tests.codec.rust import CRATE, outcomes, read_file
+from tests.codec.rust import program as built
 from tests.fuzz.run_bounded import by_rust, differential
 from tests.vectors.make import FOLDER, FROZEN, read_stream
 
@@ -21,10 +22,10 @@ pytestmark = [
 MANIFEST: dict[str, Any] = json.loads((FOLDER / "manifest.json").read_text())
 
 
-@pytest.fixture(scope="module")
-def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def program() -> Path:
     """The program, freshly built."""
-    return build(tmp_path_factory.mktemp("rust"))
+    return built()
 
 
 def test_valid_streams_end_in_the_states_of_the_manifest(program: Path, tmp_path: Path) -> None:

@@ -22,7 +22,6 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from functools import cache
 from itertools import islice
 from pathlib import Path
 from types import FrameType
@@ -179,16 +178,10 @@ def _by_node(chosen: Chosen, before: Before) -> list[list[object]]:
     return found
 
 
-@cache
-def _rust() -> tuple[Path, tempfile.TemporaryDirectory[str]]:
-    folder = tempfile.TemporaryDirectory()
-    return rust.build(Path(folder.name)), folder
-
-
 def by_rust(chosen: Chosen, before: Before) -> list[list[object]]:
     """What the decoder in Rust makes of each mutant after the packets before it."""
-    program, folder = _rust()
-    found = rust.outcomes(program, [[*before[last], mutant] for last, mutant in chosen], Path(folder.name) / "mutants")
+    program = rust.program()
+    found = rust.outcomes(program, [[*before[last], mutant] for last, mutant in chosen], program.with_name("mutants"))
     return [[code] if code else ["", state["versions"], state["levels"]] for code, state in found]
 
 
