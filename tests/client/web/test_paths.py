@@ -62,7 +62,7 @@ def test_a_path_is_made_played_linked_saved_and_filmed(page: Any, clip: Clip, tm
         assert [key["seconds"] for key in told["keys"]] == [0, 1]
         _film(page, tmp_path)
         shows(page, "s.phase !== 'paused'")
-        assert page.evaluate("document.getElementById('canvas').width") == 640
+        page.wait_for_function("document.getElementById('canvas').width === 640", **WAIT)  # with the next frame drawn
 
 
 def _film(page: Any, folder: Path) -> None:

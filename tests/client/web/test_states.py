@@ -171,6 +171,7 @@ def test_a_played_file_is_a_replay_that_can_be_sought(page: Any, clip: Clip, tmp
         page.goto(f"{server.url}/?quality=high")
         chip(page, "Replay")
         assert page.evaluate("phases") == ["connecting", "waiting", "replay"]
+        page.wait_for_function("versions.length > 0", **WAIT)
         assert page.evaluate("versions[0]") == 0, "it begins at its begin, not where the server's own playing is"
         shows(page, "s.phase === 'replay' && s.window.newest.version === 39 && s.version !== null")
         assert not page.locator("#t-live").is_visible()
