@@ -195,6 +195,14 @@ async function start(viewer) {
   button("b-fly").onclick = () => flight.toggle();
   button("b-shot").onclick = () => savePicture(viewer);
   button("b-full").onclick = fullScreen;
+  button("b-float").hidden = !("documentPictureInPicture" in window) || window.parent !== window; // frames may not
+  button("b-float").onclick = async () => {
+    const { toggleFloating } = await import("./floating.js");
+    toggleFloating(viewer, (floats) => {
+      button("b-float").setAttribute("aria-pressed", String(floats));
+      if (floats) toast("The picture is in the small window");
+    }).catch((error) => toast(`There is no small window: ${error.message}`));
+  };
   for (const kind of /** @type {("vr" | "ar")[]} */ (["vr", "ar"])) {
     button(`b-${kind}`).onclick = () => putOn(kind);
     if (!viewer.thin) navigator.xr?.isSessionSupported(`immersive-${kind}`).then((can) => (button(`b-${kind}`).hidden = !can), () => {});

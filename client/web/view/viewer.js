@@ -89,6 +89,7 @@ export class Viewer extends EventTarget {
     this.generation = -1;
     this.dirty = true;
     this.running = true;
+    this.runs = 0; // how often it began to run, in whichever window
     this.presenting = false; // a headset draws, the page does not
     this.lastDraw = 0;
     this.movedAt = 0; // when the view changed last
@@ -100,12 +101,18 @@ export class Viewer extends EventTarget {
     this.resizer = new ResizeObserver(() => this.resize());
     this.resizer.observe(canvas);
     this.resize();
-    const loop = () => {
-      if (!this.running) return;
-      requestAnimationFrame(loop);
+    this.runIn(window);
+  }
+
+  /** Draw by the clock of this window, which the canvas is in, from now on. @param {Window} pane */
+  runIn(pane) {
+    const run = ++this.runs, loop = () => {
+      if (!this.running || run !== this.runs) return;
+      pane.requestAnimationFrame(loop);
       this.#frame();
     };
-    requestAnimationFrame(loop);
+    pane.requestAnimationFrame(loop);
+    this.resize();
   }
 
   /** @param {import("./messages.js").ToWorker} message */
