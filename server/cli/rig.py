@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 Say = Callable[[str], None]
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+_FPS = 30.0  # of phones, and of cameras that tell no rate
 _WALK = "walk"  # folder beside the rig's file, which the board walk is recorded into and calibrates
 _WAIT_SECONDS = 600.0  # for all cameras of a rig to deliver
 
@@ -45,7 +46,7 @@ def find(
     out: Path,
     phones: int,
     size: tuple[int, int] | None,
-    fps: float,
+    fps: float | None,
     say: Say,
     *,
     sound: str | None = None,
@@ -54,6 +55,7 @@ def find(
     """Write the rig's file of the sources given, or found, and a contact sheet beside it.
 
     Args:
+        fps: pictures a second; None for those of the slowest camera, as no instant has all of them more often.
         sound: whose sound is heard: a camera's name, a microphone or a file, as docs/sound.md says.
     """
     from streamlod.server.ingest.finding.looking import look_through
@@ -64,7 +66,7 @@ def find(
     sources = _named(arguments) if arguments else _searched(say)
     if not sources and not phones:
         raise InputError("rig", "found no camera whose address is known; give addresses, or --phones 4")
-    looks = dict(zip(sources, look_through([each.address for each in sources], fps, size), strict=True))
+    looks = dict(zip(sources, look_through([each.address for each in sources], fps or _FPS, size), strict=True))
     pictures = {each.name: look.picture for each, look in looks.items()}
     cameras: list[dict[str, Any]] = []
     for each, look in looks.items():
@@ -79,7 +81,10 @@ def find(
         cameras.append({"name": f"phone{number}", "source": "push:", "width": wanted[0], "height": wanted[1]})
     if not cameras:
         raise InputError("rig", "none of its cameras gave a picture")
-    value: dict[str, Any] = {"fps": fps, "calibration": _WALK, "cameras": cameras}
+    rates = sorted(look.fps for look in looks.values() if look.fps is not None)
+    if rates and rates[-1] > 1.02 * rates[0]:
+        say(f"they film at {rates[0]:g} to {rates[-1]:g} pictures a second: set them to one rate")
+    value: dict[str, Any] = {"fps": fps or (rates[0] if rates else _FPS), "calibration": _WALK, "cameras": cameras}
     if sound is None:
         say("nothing is heard; --sound NAME, a camera or a microphone, changes that")
     else:

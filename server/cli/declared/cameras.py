@@ -41,7 +41,9 @@ def rig(
     size: Annotated[
         str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Asked of webcams and phones.  [default: 1280x720]")
     ] = None,
-    fps: Annotated[float, typer.Option(min=0.1, max=1000, help="Pictures a second.")] = 30.0,
+    fps: Annotated[
+        float | None, typer.Option(min=0.1, max=1000, help="Pictures a second; by default those of the slowest camera.")
+    ] = None,
     sound: Annotated[
         str | None, typer.Option(metavar="NAME|SOURCE", help="Whose sound is heard: a camera, a microphone or a file.")
     ] = None,

@@ -19,15 +19,17 @@ from streamlod.server.ingest.cameras.opening import open_source
 
 _LOOK_SECONDS = 15.0  # for all of them
 _MAX_PIXELS = 7680 * 4320
+_RATES = 1, 240  # pictures a second that are believed
 _SKIPPED = 5  # pictures at first, in which a webcam finds its exposure
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Glance:
-    """A look at a source: its picture [H,W,3] RGB, or why there is none."""
+    """A look at a source: its picture [H,W,3] RGB, or why there is none, and its pictures a second where it tells."""
 
     picture: UInt8 | None
     fault: str = ""
+    fps: float | None = None
 
 
 def look_through(sources: Sequence[Address], fps: float, size: tuple[int, int] | None) -> list[Glance]:
@@ -55,13 +57,13 @@ class _Looking(threading.Thread):
 
     def run(self) -> None:
         try:
-            self.found = Glance(self._first())
+            self.found = self._first()
         except InputError as error:
             self.found = Glance(None, error.fault)
         except (av.FFmpegError, OSError, ValueError) as error:
             self.found = Glance(None, getattr(error, "strerror", None) or str(error))
 
-    def _first(self) -> UInt8:
+    def _first(self) -> Glance:
         with ExitStack() as stack:
             container = open_source(self._source, self._fps, self._size, stack)
             stream = pictures_of(container)
@@ -75,4 +77,5 @@ class _Looking(threading.Thread):
                     break
             if last is None:
                 raise InputError("source", "ended without a picture")
-            return upright(last)
+            rate = stream.average_rate or stream.guessed_rate
+            return Glance(upright(last), fps=float(rate) if rate and _RATES[0] <= rate <= _RATES[1] else None)

@@ -67,6 +67,20 @@ def test_the_file_names_what_gives_pictures_with_its_size(tmp_path: Path) -> Non
     assert settings.certificate_key.stat().st_mode & 0o077 == 0
 
 
+def test_a_rig_is_as_fast_as_its_slowest_camera(tmp_path: Path) -> None:
+    """At twice its rate, pictures of two such cameras would fall on instants in turns, and none have both."""
+    pictures = [burnt(number) for number in range(8)]
+    for name, fps in (("a", 30), ("b", 15)):
+        write_video(tmp_path / f"{name}.mp4", pictures, fps)
+    said: list[str] = []
+    sources = [str(tmp_path / "a.mp4"), str(tmp_path / "b.mp4")]
+    find(sources, tmp_path / "rig.json", 0, None, None, said.append, overwrite=False)
+    assert json.loads((tmp_path / "rig.json").read_text())["fps"] == 15
+    assert "they film at 15 to 30 pictures a second: set them to one rate" in said
+    find([], tmp_path / "phones.json", 2, None, None, said.append, overwrite=False)
+    assert json.loads((tmp_path / "phones.json").read_text())["fps"] == 30
+
+
 @pytest.mark.parametrize("sound", ["phone1", "alsa:///default", "music.wav"])
 def test_the_file_names_whose_sound_is_heard(tmp_path: Path, sound: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
