@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 import numpy as np
-from tqdm import tqdm
 
 from streamlod.client.connection.link import WatchOptions
 from streamlod.client.inspection import describe_file
@@ -23,6 +22,7 @@ from streamlod.codec.snapshots import CLIP_SUFFIXES, FORMATS, PACKET_SUFFIXES
 from streamlod.core.arrays import Float64
 from streamlod.core.errors import BitstreamError, InputError
 from streamlod.core.files import write_text
+from streamlod.core.progress_bar import progress_bar
 from streamlod.core.scene.anchors import Scene, SceneHeader
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def view(
     if pose is not None and not pose.is_file():
         raise InputError(pose, "does not exist")
     options = WatchOptions(token=os.environ.get(TOKEN_VARIABLE), levels=levels, nearest=True)
-    with tqdm(total=frames, unit="picture", desc="view", delay=0.5) as bar:
+    with progress_bar(total=frames, unit="picture", desc="view", delay=0.5) as bar:
 
         def tell(text: str) -> None:
             bar.set_postfix_str(text, refresh=False)
@@ -106,7 +106,7 @@ def evaluate(
 
     if not test:
         raise InputError("--test", "name at least one held-out camera, for example --test cam00")
-    with tqdm(unit="frame", desc="evaluate", delay=0.5) as bar:
+    with progress_bar(unit="frame", desc="evaluate", delay=0.5) as bar:
 
         def tell(score: DecodedScore) -> None:
             bar.set_postfix_str(f"{score.picture.psnr:.2f} dB", refresh=False)
@@ -151,7 +151,7 @@ def export(
     _existing(scene, frame)
     folder.mkdir(parents=True, exist_ok=True)
     count = 0
-    for decoded in tqdm(decode_frames(scene), unit="frame", desc="export"):
+    for decoded in progress_bar(decode_frames(scene), unit="frame", desc="export"):
         version = decoded.scene.version
         if version >= frame:
             _snapshot(folder / f"frame_{version:05d}{suffix}", decoded.scene, viewpoint, file_format)
@@ -169,7 +169,7 @@ def _export_clip(scene: Path, frame: int, viewpoint: str, out: Path) -> str:
 
     def states() -> Iterator[tuple[float, Scene]]:
         nonlocal begin
-        for decoded in tqdm(decode_frames(scene), unit="frame", desc="export"):
+        for decoded in progress_bar(decode_frames(scene), unit="frame", desc="export"):
             if decoded.scene.version >= frame:
                 begin = decoded.time_ns if begin is None else begin
                 yield (decoded.time_ns - begin) / 1e9, decoded.scene
@@ -206,7 +206,7 @@ def import_scene(source: str, out: Path | None, fps: float, gaussians: int, up: 
         out = out or (name if place.scheme in ("http", "https") else Path(source).with_name(name.name))
         return save_hls(source, out, os.environ.get(TOKEN_VARIABLE))
     path = Path(source)
-    with tqdm(unit="file", desc="import", delay=0.5) as bar:
+    with progress_bar(unit="file", desc="import", delay=0.5) as bar:
         out = out or path.with_name(f"{path.stem}.slod")
         return import_files(path, out, fps, gaussians, up, lambda _: bar.update())
 

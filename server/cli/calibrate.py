@@ -10,11 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tqdm import tqdm
-
 from streamlod.core.calibration.board.description import FILE, Board, board_text, read_board
 from streamlod.core.errors import InputError
 from streamlod.core.files import write_text
+from streamlod.core.progress_bar import progress_bar
 
 if TYPE_CHECKING:
     from streamlod.core.arrays import Float64
@@ -71,7 +70,7 @@ def _tracks(footage: Sequence[WalkFootage], board: Board) -> list[Track]:
 
     total = sum(-(-len(each.times) // picture_step(each)) for each in footage)
     pool = ThreadPoolExecutor(min(len(footage), os.cpu_count() or 1), "detect")
-    with tqdm(total=total, unit="picture", desc="looking for the board") as bar, pool:
+    with progress_bar(total=total, unit="picture", desc="looking for the board") as bar, pool:
         return list(pool.map(lambda each: track_of(each, board, bar.update), footage))
 
 

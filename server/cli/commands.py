@@ -15,12 +15,11 @@ import shutil
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
-
-from tqdm import tqdm
+from typing import TYPE_CHECKING, NoReturn
 
 from streamlod.core.errors import BackendUnavailable, BitstreamError, InputError, TrainingCutShort
 from streamlod.core.files import write_text
+from streamlod.core.progress_bar import Bar, progress_bar
 from streamlod.core.runtime import cache_folder
 from streamlod.core.version import streamlod_version
 from streamlod.server.pipeline.trace import chrome_trace
@@ -57,7 +56,7 @@ def synth(
     spec = SyntheticSpec(cameras=cameras, frames=frames, width=width, height=height, seed=seed, kind=kind, speed=speed)
     if overwrite and (folder / "ground_truth" / "spec.json").is_file():  # nothing but our own clips
         shutil.rmtree(folder)
-    with tqdm(total=100, unit="%", desc="synth") as bar:
+    with progress_bar(total=100, unit="%", desc="synth") as bar:
         write_clip(spec, folder, lambda fraction: _set(bar, 100 * fraction))
     return f"{folder}: {kind}, {cameras} cameras, {frames} frames of {size}"
 
@@ -94,7 +93,10 @@ def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None, so
 
     opened = open_job(job)
     encoded: list[EncodedFrame] = []
-    with tqdm(total=100, unit="%", desc="first frame") as first, tqdm(unit="frame", desc="frames") as later:
+    with (
+        progress_bar(total=100, unit="%", desc="first frame") as first,
+        progress_bar(unit="frame", desc="frames") as later,
+    ):
 
         def on_progress(progress: Progress) -> None:
             _set(first, 100 * progress.fraction)
@@ -217,7 +219,7 @@ def warm() -> str:
     """Compile all kernels now rather than at first use."""
     from streamlod.server.pipeline.warming import WARM_UPS, warm_all
 
-    with tqdm(total=len(WARM_UPS), unit="part", desc="compiling") as bar:
+    with progress_bar(total=len(WARM_UPS), unit="part", desc="compiling") as bar:
         for name in warm_all():
             bar.set_description(f"compiling; {name} ready")
             bar.update()
@@ -249,5 +251,5 @@ def check_outputs(*paths: Path | None) -> None:
             raise InputError(path, "cannot be written (no permission for the folder)")
 
 
-def _set(bar: tqdm[Any], value: float) -> None:
+def _set(bar: Bar, value: float) -> None:
     bar.update(max(0, round(value) - bar.n))
