@@ -16,6 +16,7 @@ import { fillStatistics, Rates } from "./statistics.js";
 import { followPast } from "./past.js";
 import { backgroundItems, colourOf } from "./background.js";
 import { attachDrop } from "./drop.js";
+import { blurOf, lensItems } from "./lens.js";
 import { Timeline } from "./timeline.js";
 import { Together } from "./together.js";
 import { drawHere } from "../view/drawing.js";
@@ -239,7 +240,7 @@ async function start(viewer) {
         quality.choose(name);
         button("b-quality").click();
       })));
-    if (!viewer.thin) qualityMenu.append(...backgroundItems(viewer));
+    if (!viewer.thin) qualityMenu.append(...backgroundItems(viewer), ...lensItems(viewer));
     if (!recording) qualityMenu.append(menuItem("Server draws", "slow devices", viewer.thin, () => drawThere(!viewer.thin)));
   });
 
@@ -301,6 +302,7 @@ async function start(viewer) {
     viewer.tell({ type: "connect", live: null, file: recording, token: null, wishes });
   });
   viewer.paint(colourOf(options.get("background")));
+  viewer.focus(blurOf(options.get("blur")));
   /** @param {(epoch?: number) => string | null} address */
   const offer = (address) => {
     Object.assign(source, { address });

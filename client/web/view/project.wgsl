@@ -2,6 +2,7 @@
 
 override MAX_KEEP: f32; // as in surface.js
 override MIN_KEEP: f32;
+override MAX_BLUR: f32;
 const LEAST = 1.0 / 255.0; // opacity below which nothing is drawn
 const NEAREST = 0x3c000000u; // bits of 1/128, which is less than the depth of any splat that is drawn
 const MOST = 0xffffffu;      // keys have 24 bits
@@ -14,6 +15,7 @@ struct View {
   gain: vec3f, moved: f32,      // exposure: gain * colour + lift; share of the way from the state before
   lift: vec3f, spread: f32,
   near: f32, count: u32,        // splats in `shown`
+  lens: f32,                    // its radius, world units; 0: everything is sharp, not only what is at `range`
 }
 
 struct Quad {
@@ -69,9 +71,17 @@ fn project(@builtin(global_invocation_id) thread: vec3u) {
   let jy = view.focal.y / c.z * (view.y.xyz - slope.y * view.z.xyz);
   let kx = covariance * jx;
   let area = view.spread / keep; // what is left covers what is left out
-  let xx = area * dot(jx, kx) + 0.1;
+  var xx = area * dot(jx, kx) + 0.1;
   let xy = area * dot(jy, kx);
-  let yy = area * dot(jy, covariance * jy) + 0.1;
+  var yy = area * dot(jy, covariance * jy) + 0.1;
+  var opacity = mean.w;
+  if (view.lens > 0.0) { // the same light on a larger disc
+    let disc = view.focal * min(view.lens * abs(1.0 / c.z - 1.0 / view.range), MAX_BLUR);
+    let sharp = xx * yy - xy * xy;
+    xx += disc.x * disc.x;
+    yy += disc.y * disc.y;
+    opacity = max(opacity * sqrt(sharp / (xx * yy - xy * xy)), min(opacity, 2.0 * LEAST));
+  }
   let middle = 0.5 * (xx + yy);
   let radius = length(vec2f(0.5 * (xx - yy), xy));
   let major = middle + radius;
@@ -80,7 +90,7 @@ fn project(@builtin(global_invocation_id) thread: vec3u) {
   if (abs(xy) >= 1e-6) {
     axis = normalize(vec2f(xy, major - xx));
   }
-  let reach = sqrt(2.0 * log(255.0 * mean.w)); // alpha falls below 1/255 there
+  let reach = sqrt(2.0 * log(255.0 * opacity)); // alpha falls below 1/255 there
   let scale = vec2f(2.0, -2.0) / view.viewport;
   let at = scale * (view.focal * way + view.principal) + vec2f(-1.0, 1.0);
   let long = sqrt(major) * scale * axis;
@@ -90,6 +100,6 @@ fn project(@builtin(global_invocation_id) thread: vec3u) {
     return; // beside the picture
   }
   let colour = view.gain * vec3f(unpack2x16unorm(last.z), unpack2x16unorm(last.w).x) + view.lift;
-  quads[i] = Quad(vec4f(at, long), short, vec2u(pack2x16float(colour.xy), pack2x16float(vec2f(colour.z, mean.w))));
+  quads[i] = Quad(vec4f(at, long), short, vec2u(pack2x16float(colour.xy), pack2x16float(vec2f(colour.z, opacity))));
   keys[i] = MOST - min((bitcast<u32>(c.z) - NEAREST) >> 4u, MOST); // far ones first; bits of positive floats are ordered
 }

@@ -7,7 +7,7 @@
 
 import { RECORD, ROW_SPLATS } from "../decode/expand.js";
 import { NEUTRAL } from "./exposure.js";
-import { MAX_KEEP, MIN_KEEP, Surface } from "./surface.js";
+import { MAX_BLUR, MAX_KEEP, MIN_KEEP, Surface } from "./surface.js";
 
 /** @typedef {import("./surface.js").View} View */
 
@@ -26,7 +26,8 @@ uniform mat3 rotation;      // world to camera
 uniform vec3 translation;
 uniform vec2 viewport, focal, principal; // pixels
 uniform float share;        // of the splats that are drawn where it matters least to leave some out; 1: all
-uniform float range;        // distance up to which splats count as near
+uniform float range;        // distance up to which splats count as near, and at which they are sharp
+uniform float lens;         // radius of the lens, world units; 0: everything is sharp
 uniform vec3 gain, lift;    // of the exposure: gain * colour + lift
 uniform float spread;       // area that each splat has to cover, in areas of its own; 1 where no level is missing
 out vec2 offset;            // in standard deviations
@@ -61,13 +62,21 @@ void main() {
   vec3 kx = camera * jx;
   float area = spread / keep;                          // what is left covers what is left out
   float xx = area * dot(jx, kx) + .1, xy = area * dot(jy, kx), yy = area * dot(jy, camera * jy) + .1;
+  float opacity = mean.w;
+  if (lens > 0.) {                                     // the same light on a larger disc
+    vec2 disc = focal * min(lens * abs(1. / c.z - 1. / range), ${MAX_BLUR});
+    float sharp = xx * yy - xy * xy;
+    xx += disc.x * disc.x;
+    yy += disc.y * disc.y;
+    opacity = max(opacity * sqrt(sharp / (xx * yy - xy * xy)), min(opacity, 2. / 255.));
+  }
   float middle = .5 * (xx + yy), radius = length(vec2(.5 * (xx - yy), xy));
   float major = middle + radius, minor = max(middle - radius, 1e-6);
   vec2 axis = abs(xy) < 1e-6 ? (xx >= yy ? vec2(1, 0) : vec2(0, 1)) : normalize(vec2(xy, major - xx));
-  offset = corner * sqrt(2. * log(255. * mean.w));     // alpha falls below 1/255 there
+  offset = corner * sqrt(2. * log(255. * opacity));     // alpha falls below 1/255 there
   vec2 pixel = focal * way + principal + offset.x * sqrt(major) * axis + offset.y * sqrt(minor) * vec2(-axis.y, axis.x);
   nearness = range / c.z;
-  colour = vec4(gain * vec3(unpackUnorm2x16(last.z), unpackUnorm2x16(last.w).x) + lift, mean.w);
+  colour = vec4(gain * vec3(unpackUnorm2x16(last.z), unpackUnorm2x16(last.w).x) + lift, opacity);
   gl_Position = vec4(2. * pixel.x / viewport.x - 1., 1. - 2. * pixel.y / viewport.y, 0, 1);
 }`;
 
@@ -238,6 +247,7 @@ export class Renderer extends Surface {
     gl.uniform2f(at("principal"), ...view.principal);
     gl.uniform1f(at("share"), view.share ?? 1);
     gl.uniform1f(at("range"), view.range ?? 1);
+    gl.uniform1f(at("lens"), view.lens ?? 0);
     gl.uniform3fv(at("gain"), exposure.slice(0, 3));
     gl.uniform3fv(at("lift"), exposure.slice(3));
     gl.uniform1f(at("spread"), this.spread);

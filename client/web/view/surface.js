@@ -4,6 +4,7 @@ import { NEUTRAL } from "./exposure.js";
 
 export const MAX_KEEP = 1.5; // times the share, in the middle and near; at most all
 export const MIN_KEEP = 0.03; // a share below would make splats too large to tell anything apart
+export const MAX_BLUR = 0.05; // of what the lens shows out of focus, as a fraction of the focal length
 const SPREAD = 2; // area that coarser splats cover for each level that is missing
 
 /**
@@ -13,7 +14,8 @@ const SPREAD = 2; // area that coarser splats cover for each level that is missi
  * @property {[number, number]} focal - pixels
  * @property {[number, number]} principal - pixels
  * @property {number} [share] - of the splats that are drawn where it matters least to leave some out; 1: all
- * @property {number} [range] - distance up to which splats count as near
+ * @property {number} [range] - distance up to which splats count as near, and at which they are sharp
+ * @property {number} [lens] - its radius, world units; 0: everything is sharp
  * @property {number} [near] - distance from the eye within which nothing is drawn
  * @property {import("./exposure.js").Exposure} [exposure] - neutral where none is given
  */

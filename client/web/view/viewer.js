@@ -17,6 +17,7 @@ import { Warp } from "./warp.js";
 /** @typedef {import("./messages.js").FromWorker} FromWorker */
 
 const GLIDE_MS = 450;
+const LENS = 0.03; // the largest radius of the lens, in distances of what is looked at
 const REST_MS = 400, HELD_MS = 1000; // a view that has not changed for so long is drawn in full; while a finger or button is down
 const MIN_FILL = 0.6; // of a narrow screen's height: what a camera sees is cut left and right to fill that much
 const MAX_PATIENCE_MS = 1500; // where pictures take long
@@ -63,6 +64,7 @@ export class Viewer extends EventTarget {
     this.isLost = false; // the browser took the graphics card away
     /** @type {[number, number, number] | null} shown behind the scene instead of its own colour */
     this.backdrop = null;
+    this.blur = 0; // of what is not as far away as what is looked at; 1: the most
     this.posed = false; // someone chose a pose: a new scene does not move the camera
     this.levels = Infinity;
     this.resolution = 1; // fraction of the screen's own, while things move
@@ -197,6 +199,12 @@ export class Viewer extends EventTarget {
     this.dirty = this.isOld = true;
   }
 
+  /** Blur what is nearer or farther than what is looked at. @param {number} share - 0: not at all, 1: the most */
+  focus(share) {
+    this.blur = share;
+    this.dirty = this.isOld = true;
+  }
+
   /** Stand where a camera of the rig does. @param {import("./camera.js").RigCamera} camera @param {boolean} [glide] - move there smoothly */
   standAt(camera, glide) {
     const pose = fromCamera(camera, this.pose.distance);
@@ -288,7 +296,7 @@ export class Viewer extends EventTarget {
     const translation = [0, 1, 2].map((i) => -dot(row(rotation, i), position));
     const scale = focal * unit;
     return { rotation, translation, focal: [scale * stretch, scale], principal: [width / 2 + shift[0] * unit, height / 2 + shift[1] * unit],
-      share: this.resting ? 1 : this.share, range: this.pose.distance,
+      share: this.resting ? 1 : this.share, range: this.pose.distance, lens: LENS * this.blur * this.pose.distance,
       near: nearRadius(position, this.scene?.cameras ?? []), exposure: exposureAt(position, this.scene?.cameras ?? [], this.scene?.exposures) };
   }
 

@@ -6,7 +6,7 @@
 import { RECORD, ROW_SPLATS } from "../decode/expand.js";
 import { NEUTRAL } from "./exposure.js";
 import { GpuSort, QUADS, shader } from "./gpusort.js";
-import { MAX_KEEP, MIN_KEEP, Surface } from "./surface.js";
+import { MAX_BLUR, MAX_KEEP, MIN_KEEP, Surface } from "./surface.js";
 
 /** @typedef {import("./surface.js").View} View */
 /** @typedef {{ project: GPUComputePipeline, draw: GPURenderPipeline, sort: GpuSort }} Programs */
@@ -32,7 +32,7 @@ export async function createGpuRenderer(adapter, frame) {
     context.configure({ device, format, alphaMode: "opaque" });
     const [toProject, toDraw, sort] = await Promise.all([shader(device, "project.wgsl"), shader(device, "quads.wgsl"), GpuSort.create(device)]);
     const [project, draw] = await Promise.all([
-      device.createComputePipelineAsync({ layout: "auto", compute: { module: toProject, constants: { MAX_KEEP, MIN_KEEP } } }),
+      device.createComputePipelineAsync({ layout: "auto", compute: { module: toProject, constants: { MAX_KEEP, MIN_KEEP, MAX_BLUR } } }),
       device.createRenderPipelineAsync({
         layout: "auto", vertex: { module: toDraw, constants: { QUADS } },
         fragment: { module: toDraw, targets: [{ format, blend: { color: OVER, alpha: OVER } }] },
@@ -146,10 +146,10 @@ export class GpuRenderer extends Surface {
   }
 
   /** @param {View} view @param {number} width @param {number} height */
-  #look({ rotation: r, translation: t, focal, principal, share = 1, range = 1, near = 0, exposure = NEUTRAL }, width, height) {
+  #look({ rotation: r, translation: t, focal, principal, share = 1, range = 1, near = 0, lens = 0, exposure = NEUTRAL }, width, height) {
     const numbers = new Float32Array(VIEW_BYTES / 4);
     numbers.set([r[0], r[1], r[2], t[0], r[3], r[4], r[5], t[1], r[6], r[7], r[8], t[2], width, height, ...focal, ...principal, share, range,
-      ...exposure.slice(0, 3), this.moved, ...exposure.slice(3), this.spread, near]);
+      ...exposure.slice(0, 3), this.moved, ...exposure.slice(3), this.spread, near, 0, lens]);
     new Uint32Array(numbers.buffer)[29] = this.count;
     this.device.queue.writeBuffer(this.view, 0, numbers);
   }

@@ -101,6 +101,14 @@ def test_a_file_that_is_dropped_plays_and_the_background_is_chosen(page: Any, cl
         }""")
         eventually(lambda: _is_green(page))
         assert "background=00ff00" in page.url
+        sharp = picture(page)
+        page.get_by_label("Depth of field").fill("100")
+        eventually(lambda: _is_other(page, sharp))
+        assert "blur=100" in page.url
+
+
+def _is_other(page: Any, before: np.ndarray) -> None:
+    assert np.abs(picture(page) - before).mean() > 0.002
 
 
 def _is_green(page: Any) -> None:

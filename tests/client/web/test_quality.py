@@ -32,13 +32,13 @@ DRAW = """async ([cases, number]) => {
   renderer.background = [...engine.scene.header.background];
   const translation = [0, 1, 2].map((i) => -r[3 * i] * p[0] - r[3 * i + 1] * p[1] - r[3 * i + 2] * p[2]);
   const out = [];
-  for (const { share, levels } of cases) {
+  for (const { share, levels, ...others } of cases) {
     const picture = engine.picture({ position: p, rotation: r, levels });
     renderer.update(picture.rows, picture.spans);
     renderer.setOrder(picture.order);
     renderer.missing = picture.missing;
     const seen = { rotation: r, translation, focal: [k[0], k[4]], principal: [k[2], k[5]], range: pose.distance };
-    renderer.draw({ ...seen, share });
+    renderer.draw({ ...seen, ...others, share });
     out.push({ png: canvas.toDataURL().split(",")[1], drawn: renderer.count });
   }
   renderer.destroy();
@@ -77,6 +77,23 @@ def test_what_is_left_covers_what_is_left_out(page: Any, url: str) -> None:
         holes = (np.abs(picture - background).max(axis=2) < 0.05)[solid].mean()
         assert holes < 0.01, (share, levels)
     assert 0 < drawn[2]["drawn"] < 0.15 * drawn[0]["drawn"], "the graphics card gets a tenth of the splats"
+
+
+def detail(picture: np.ndarray) -> float:
+    """Mean difference of neighbours."""
+    return float(np.abs(np.diff(picture, axis=1)).mean())
+
+
+def test_a_lens_blurs_what_is_not_looked_at(page: Any, url: str) -> None:
+    """Nothing gets lighter or darker by it, and what is as far away as what is looked at stays sharp."""
+    page.goto(f"{url}/files/blank.html")
+    lenses = [{}, {"lens": 0.05}, {"lens": 0.05, "range": 1000}]
+    drawn = page.evaluate(DRAW, [[{"share": 1, "levels": 3, **lens} for lens in lenses], 2])
+    sharp, focused, blurred = (image(result["png"]) for result in drawn)
+    assert detail(blurred) < 0.5 * detail(sharp)
+    assert detail(blurred) < detail(focused) < detail(sharp)
+    for picture in (focused, blurred):
+        assert np.abs(picture.mean((0, 1)) - sharp.mean((0, 1))).max() < 0.02
 
 
 SLOW_DRAG = """async () => {

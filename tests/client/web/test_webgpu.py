@@ -227,10 +227,10 @@ def test_same_picture_as_python(page_webgpu: Any, clip: Clip, webgpu: bool) -> N
 
 
 def test_both_leave_out_cover_and_move_alike(page_webgpu: Any, clip: Clip, folder: Path) -> None:
-    """A share of the splats, a level less, another exposure, a near border, and the way from state to state."""
+    """A share of the splats, a level less, another exposure, a lens, a near border, and the way from state to state."""
     cases = [
         {}, {"share": 0.3}, {"share": 0.08}, {"levels": 2}, {"levels": 1, "share": 0.5},
-        {"exposure": [0.8, 1.1, 1.2, 0.05, 0, -0.02]},
+        {"exposure": [0.8, 1.1, 1.2, 0.05, 0, -0.02]}, {"lens": 0.1},
     ]  # fmt: skip
     with serving(create_app(clip, Behaviour(), folder)) as url:
         page_webgpu.goto(f"{url}/files/blank.html")
