@@ -219,6 +219,9 @@ async function start(viewer) {
     else if (phase === "denied") enterToken();
     else location.reload();
   };
+  element("card-token").onkeydown = ({ key }) => {
+    if (key === "Enter") enterToken();
+  };
   const rig = new Rig(viewer, goTo);
   const cameraMenu = element("camera-menu");
   attachMenu(button("b-cameras"), cameraMenu, () => {
@@ -251,7 +254,7 @@ async function start(viewer) {
   };
   window.addEventListener("keydown", (event) => {
     const target = /** @type {HTMLElement} */ (event.target);
-    if (event.ctrlKey || event.metaKey || event.altKey || target.closest("dialog, .menu")) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || target.closest("dialog, .menu, #card-token")) return;
     if (event.key === " " && target.closest("button")) return;
     const key = event.key.toLowerCase();
     if (target.closest("input") && OF_SLIDERS.has(key)) return;
@@ -330,10 +333,10 @@ async function start(viewer) {
   viewer.tell({ type: "connect", live: liveAddress(stream), file: isShared ? null : `${place}/recording`, token, wishes });
 }
 
-/** Ask for a token, and begin anew with it. */
+/** Begin anew with the token that was entered. */
 function enterToken() {
-  const given = prompt("Token")?.trim();
-  if (!given) return;
+  const field = /** @type {HTMLInputElement} */ (element("card-token")), given = field.value.trim();
+  if (!given) return field.focus();
   const address = new URL(location.href);
   address.searchParams.set("token", given);
   location.assign(address);

@@ -4,7 +4,7 @@
  * @typedef {object} Words
  * @property {string} chip - a word or two
  * @property {"live" | "good" | "busy" | "bad" | "quiet"} tone
- * @property {{ title: string, text: string, spinner: boolean, fraction?: number | null, button?: string } | null} card - null: nothing in the way
+ * @property {{ title: string, text: string, spinner: boolean, fraction?: number | null, button?: string, asks?: boolean } | null} card - null: nothing in the way
  */
 
 const MAX_CHARACTERS = 60; // characters of the server's words in the chip
@@ -76,7 +76,7 @@ export function words(status, picture, waitMs) {
     case "version":
       return full("Outdated", "bad", "This page is out of date", "The server speaks another version of the protocol. Reload to get its page.", { button: "Reload" });
     case "denied":
-      return full("No permission", "bad", "You may not watch this stream", detail || "Ask for a link that carries a token.", { button: "Enter a token" });
+      return full("No permission", "bad", "You may not watch this stream", detail || "Ask for a link that carries a token.", { button: "Watch", asks: true });
     case "missing":
       return full("Not found", "bad", "No such stream", detail || "It may have been deleted.", { button: "Show streams" });
   }

@@ -16,13 +16,14 @@ export function show(said) {
   card.hidden = !said.card;
   stage.toggleAttribute("data-card", said.card !== null);
   if (!said.card) return;
-  const { title, text, spinner, fraction, button: label } = said.card;
+  const { title, text, spinner, fraction, button: label, asks } = said.card;
   card.classList.toggle("still", !spinner);
   element("card-title").textContent = title;
   element("card-text").textContent = text;
   const progress = /** @type {HTMLProgressElement} */ (element("card-progress"));
   progress.hidden = fraction == null;
   progress.value = fraction ?? 0;
+  element("card-token").hidden = !asks;
   button("card-button").hidden = !label;
   button("card-button").textContent = label ?? "";
 }

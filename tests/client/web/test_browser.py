@@ -98,6 +98,22 @@ def test_says_what_is_going_on(page: Any, clip: Clip) -> None:
     page.complaints.forgive("WebSocket connection to")  # of pages that were left
 
 
+def test_a_token_is_entered_where_none_was_given(page: Any, clip: Clip) -> None:
+    """In the card, as frames of other pages may ask nothing; its letters are no commands."""
+    behaviour = Behaviour(close=(4401, "token missing"))
+    with serving(create_app(clip, behaviour)) as url:
+        page.goto(f"{url}/?quality=high")
+        page.locator("#card-button").click(**WAIT)
+        page.keyboard.type("hic")
+        assert page.locator("#stats").is_hidden()
+        assert page.locator("#camera-menu").is_hidden()
+        behaviour.close = None
+        page.keyboard.press("Enter")
+        shows(page, "s.version > 0")
+        assert "token=hic" in page.url
+        assert page.locator("#card-token").is_hidden()
+
+
 def test_says_when_there_is_no_webgl(page: Any, clip: Clip) -> None:
     """No WebGL2, no exception."""
     page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
