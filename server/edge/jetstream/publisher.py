@@ -177,6 +177,7 @@ class Publisher:
         """Publish live sound as it comes. While JetStream takes none it waits where it is held for viewers anyway."""
         track, heard, sent_ns = self.stream.sound_track, asyncio.Event(), 0
         track.listeners.add(heard.set)
+        heard.set()  # some may have come before JetStream was reached
         try:
             while True:
                 await heard.wait()

@@ -132,6 +132,20 @@ def test_live_sound_reaches_viewers_of_other_nodes_and_is_stored_once(one: Nats,
             assert client.get("/v1/streams/heard/manifest").json()["gops"]  # sound among the packets is no packet
 
 
+def test_live_sound_from_before_nats_was_reached_is_published(tmp_path: Path, slow_clip: Clip) -> None:
+    told = pieces(6.0)
+    with nats(tmp_path) as late:
+        (server,) = late.servers
+        server.kill()
+        with running(late.settings(), StreamSpec(play=slow_clip.path, id="heard")) as there:
+            hear(there, told, "heard")
+            server.start()
+            with running(late.settings()) as here:
+                wait(lambda: serves(here, "heard")["sound"])
+                with viewing(here, "heard", max_queue=None) as viewer:
+                    viewer.hello(sound=True).until_heard(told[-1].end_ns - 1)
+
+
 def test_what_is_stored_is_each_packet_once(one: Nats, publishing: Running, long_clip: Clip) -> None:
     messages = stored(one.settings(), "played")
     assert packets_in(messages) == long_clip.packets
