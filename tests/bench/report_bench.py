@@ -104,8 +104,9 @@ def page(found: Found) -> str:
     where = machine("cpu")
     return f"""# Results
 
-Printed by `{command()}` on {datetime.now(UTC):%d %B %Y}, commit {commit()}, {where["processor"]}, {where["cores"]}
-cores, Python {where["python"]}, torch {where["torch"]}. CPU seconds are of one thread, beside whatever else ran.
+Printed by `{command()}`
+on {datetime.now(UTC):%d %B %Y}, commit {commit()}, {where["processor"]}, {where["cores"]} cores, Python {where["python"]},
+torch {where["torch"]}. CPU seconds are of one thread, beside whatever else ran.
 
 Held-out camera, {options.views} of 12 training views, pictures of 240x135, means of {options.frames} frames and \
 {options.seeds} seeds. Scenes are of
