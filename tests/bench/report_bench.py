@@ -105,8 +105,8 @@ def page(found: Found) -> str:
     return f"""# Results
 
 Printed by `{command()}`
-on {datetime.now(UTC):%d %B %Y}, commit {commit()}, {where["processor"]}, {where["cores"]} cores, Python {where["python"]},
-torch {where["torch"]}. CPU seconds are of one thread, beside whatever else ran.
+on {datetime.now(UTC):%d %B %Y}, commit {commit()}, {where["processor"]}, {where["cores"]} cores,
+Python {where["python"]}, torch {where["torch"]}. CPU seconds are of one thread, beside whatever else ran.
 
 Held-out camera, {options.views} of 12 training views, pictures of 240x135, means of {options.frames} frames and \
 {options.seeds} seeds. Scenes are of
