@@ -30,7 +30,7 @@ $(STAMP): pyproject.toml constraints.txt
 demo: install ## Train a synthetic clip live, serve it, watch it; leaves demo-output/ and keeps serving
 	$(BIN)/streamlod demo
 
-test: install ## Run the tests that take less than four seconds each and need no browser
+test: install ## Run the tests that take less than three seconds or so each and need no browser
 	$(PYTEST) -n auto
 
 test-all: install ## ruff, mypy and all tests: also long ones, those in Chromium, and those of several servers

@@ -52,6 +52,7 @@ def test_a_stream_that_keeps_its_recording_goes_on_in_a_new_epoch(tmp_path: Path
         assert client.get(first).content == client.get(second).content == clip.packets[7]
 
 
+@pytest.mark.long
 def test_no_epoch_is_used_twice_though_its_recording_is_gone(tmp_path: Path) -> None:
     clip = make_clip(tmp_path / "scene.slod", 12, (4, 8, 16), key_every=4)
     settings = Settings(state=tmp_path / "state")

@@ -148,6 +148,7 @@ def none_left(seconds: float, per_second: int, seed: int) -> None:
             assert client.get("/healthz").status_code == 200
 
 
+@pytest.mark.long
 def test_random_partial_requests_leave_nothing_open(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run, "KEEP_ALIVE_SECONDS", 1)
     monkeypatch.setattr(websocket, "CLOSE_SECONDS", 1.0)

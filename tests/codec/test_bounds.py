@@ -74,6 +74,7 @@ def _in_little_memory(folder: Path, streams: list[list[bytes]], *, compiled: boo
     return [(code, int(count)) for code, count in found]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("compiled", [True, False])
 def test_what_announces_too_much_costs_nothing(tmp_path: Path, compiled: bool) -> None:
     """It asks for little memory, and a refusal takes as many lines for a million rows as for ten thousand."""
@@ -92,6 +93,7 @@ def test_the_densest_packets_are_taken_in_little_memory(tmp_path: Path) -> None:
     assert code == "accepted"
 
 
+@pytest.mark.long
 def test_the_densest_packets_cost_in_proportion(tmp_path: Path) -> None:
     """Four times the bytes take four times the work."""
     streams = [densest(rows) for rows in (250, 1_000)]

@@ -132,6 +132,7 @@ def test_a_wrong_index_is_not_believed(tmp_path: Path, clip: tuple[list[Scene], 
         assert list(reader.packets()) == packets
 
 
+@pytest.mark.long
 def test_the_way_through_a_long_chain_takes_linear_time(tmp_path: Path, clip: tuple[list[Scene], list[bytes]]) -> None:
     """Also with steps that lead nowhere or back, as a hostile index may hold: four times the steps, as much work."""
     path = tmp_path / "a.slod"

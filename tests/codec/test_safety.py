@@ -46,6 +46,7 @@ def test_every_flipped_bit_is_refused(profile: int) -> None:
     decoder.push(whole)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", sorted(TARGETS))
 def test_the_corpus_and_its_mutants_do_no_harm(name: str) -> None:
     seeds = SEEDS[name]()

@@ -130,6 +130,7 @@ def test_a_full_disk_stops_recording_and_nothing_else(clip: Clip, tmp_path: Path
         process.wait(60)
 
 
+@pytest.mark.long
 def test_a_clock_that_is_set_deletes_nothing_and_stops_nobody(clip: Clip, tmp_path: Path) -> None:
     options = recorded(tmp_path / "state", clip, "[retention]\nseconds = 1800")
     command = [sys.executable, "-c", _CLOCK, "serve", "--port", "0", *options]
@@ -178,6 +179,7 @@ def answer(peer: socket.socket) -> bytes:
     return found
 
 
+@pytest.mark.long
 def test_hostile_viewers_are_refused_and_counted(clip: Clip) -> None:
     command = [*PROGRAM, "serve", "--port", "0", "--play", str(clip.path)]
     with started(command) as (_, port, _), ExitStack() as stack:

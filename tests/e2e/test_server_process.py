@@ -94,6 +94,7 @@ def live(port: int) -> Any:
     return connect(address, subprotocols=["streamlod.v1"], compression=None, max_size=2**24, max_queue=None, proxy=None)  # type: ignore[list-item]
 
 
+@pytest.mark.long
 def test_playing_needs_little_memory_and_no_training_library(clip: Clip) -> None:
     with serving("--play", clip.path) as (process, port), ExitStack() as stack:
         wait_live(port)

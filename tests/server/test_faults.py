@@ -61,6 +61,7 @@ def masked(opcode: int, data: bytes) -> bytes:
     return bytes((0x80 | opcode,)) + size + bytes(4) + data
 
 
+@pytest.mark.long
 def test_a_stuck_viewer_is_cut_off_and_others_go_on(heavy: Clip) -> None:
     limits = Limits(stuck_seconds=4.0, viewer_lag_seconds=0.3, viewer_bytes=16384)
     with running(Settings(limits=limits), StreamSpec(play=heavy.path)) as server:
@@ -84,6 +85,7 @@ def test_a_stuck_viewer_is_cut_off_and_others_go_on(heavy: Clip) -> None:
                     assert_same_level(heavy.states[version].levels[number], scene.levels[number])
 
 
+@pytest.mark.long
 def test_a_slow_viewer_skips_and_its_frames_stay_exact(heavy: Clip) -> None:
     limits = Limits(viewer_lag_seconds=0.2)
     with running(Settings(limits=limits), StreamSpec(play=heavy.path, loop=False)) as server:

@@ -144,6 +144,7 @@ def test_training_that_is_slower_than_filming_gets_the_newest_instant(tmp_path: 
     assert waited < reports[0]["total_seconds"] / 2  # a queue would hold what came while the first frame trained
 
 
+@pytest.mark.long
 def test_a_failing_encoder_ends_training_that_waits_for_cameras(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

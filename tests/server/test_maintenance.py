@@ -20,6 +20,7 @@ from tests.server.conftest import Clip, running
 UNIT = Path(__file__).parents[2] / "docker" / "systemd" / "streamlod.service"
 
 
+@pytest.mark.long
 def test_a_copy_of_a_running_server_is_restored(clip: Clip, tmp_path: Path) -> None:
     state, backup = tmp_path / "state", tmp_path / "backup"
     ours = StreamSpec(id="ours", play=clip.path)
@@ -51,6 +52,7 @@ def test_a_copy_of_a_running_server_is_restored(clip: Clip, tmp_path: Path) -> N
         assert spec.job.live["cameras"][0]["source"] == source
 
 
+@pytest.mark.long
 def test_a_folder_that_another_version_used_is_served_and_keeps_what_is_not_known(clip: Clip, tmp_path: Path) -> None:
     """As after a rollback: a field and files of a newer version, and the catalogue of an older one."""
     settings, spec = Settings(state=tmp_path / "state"), StreamSpec(id="ours", play=clip.path)

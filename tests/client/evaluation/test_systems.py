@@ -81,6 +81,7 @@ def test_the_first_frame_is_shown_as_it_was_trained_whatever_the_cue(
     assert pictures[0] == pictures[1] == pictures[2]
 
 
+@pytest.mark.long
 def test_frozen_costs_next_to_nothing_and_changes_nothing(footage: Footage, first_frames: FirstFrames) -> None:
     run = run_system(CONFIG, footage, first_frames, frozen=True, spec=SPEC)
     empty = 44 + 12 * len(run.frames[1].size.level_bytes)  # header and directory alone

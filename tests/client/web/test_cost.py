@@ -26,6 +26,7 @@ def _cost(node: str, path: Path, packets: list[bytes]) -> tuple[str, int, float]
     return code, blocks, mebibytes
 
 
+@pytest.mark.long
 def test_what_announces_too_much_costs_nothing(node: str, tmp_path: Path) -> None:
     for name, packets in hostile().items():
         code, blocks, mebibytes = _cost(node, tmp_path / "a.slps", packets)
@@ -34,6 +35,7 @@ def test_what_announces_too_much_costs_nothing(node: str, tmp_path: Path) -> Non
         assert mebibytes < 32, name
 
 
+@pytest.mark.long
 def test_the_densest_packets_cost_in_proportion(node: str, tmp_path: Path) -> None:
     """Rows for nothing, as many as the bytes allow: four times the bytes take no more than that of the work."""
     work = []

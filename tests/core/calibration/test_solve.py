@@ -78,6 +78,7 @@ def test_upside_down_and_sideways_cameras_are_ordinary() -> None:
     assert np.abs(np.diff(heights) - 0.15).max() < 0.05  # z is up although two cameras are not upright
 
 
+@pytest.mark.long
 def test_a_board_that_lay_on_the_floor_is_the_floor() -> None:
     truth = rig()
 
@@ -122,6 +123,7 @@ def test_a_camera_that_was_knocked_during_the_walk_is_named(when: str) -> None:
         calibrate(still, BOARD, known_lenses(truth))
 
 
+@pytest.mark.long
 def test_a_camera_that_was_turned_in_the_midst_of_a_walk_is_named() -> None:
     """Lenses and boards can take up what it saw before and after, so that nothing looks far off."""
     truth, seconds = rig(3, arc=50.0), 24.0

@@ -36,6 +36,7 @@ def test_what_the_user_set_stays() -> None:
     assert settings_after_import(**given) == given
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["read-only", "full", "no folder"])
 def test_kernels_compile_where_no_cache_can_be_kept(tmp_path: Path, kind: str) -> None:
     """One sentence says so, and everything works; Numba itself would end with a traceback."""

@@ -90,6 +90,7 @@ def test_the_decoder_holds_the_trainers_state_bit_for_bit(trained: list[TrainedF
                 np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_scene(clip: Dataset, frames: list[FrameSet], trained: list[TrainedFrame]) -> None:
     again = list(train(clip, frames[:3]))
     for mine, theirs in zip(again[1:], trained[1:], strict=False):

@@ -82,6 +82,7 @@ def growing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Running,
         yield server, clip
 
 
+@pytest.mark.long
 def test_a_live_stream_is_followed_from_the_newest_keyframe_to_its_end(growing: tuple[Running, Clip]) -> None:
     server, clip = growing
     playlists: list[Playlist] = []

@@ -119,6 +119,7 @@ def test_an_edge_passes_sound_on(server: Running, tmp_path: Path) -> None:
     assert heard_at(tmp_path / "heard.opus") == pytest.approx([5, 6], abs=0.01)
 
 
+@pytest.mark.long
 def test_what_is_no_piece_is_refused() -> None:
     (piece,) = pieces(0.2)
     data = pack_piece(piece)

@@ -101,6 +101,7 @@ def test_a_changed_stream_is_the_changed_one_after_a_restart(clip: Clip, tmp_pat
         assert server.stream("new")["loop"] is False
 
 
+@pytest.mark.long
 def test_a_stream_on_demand_runs_while_somebody_watches(server: Running, client: httpx.Client, slow_clip: Clip) -> None:
     made = client.post(
         "/v1/streams", json={"id": "asked", "play": str(slow_clip.path), "on_demand": True, "start": True}
@@ -204,6 +205,7 @@ def test_events_are_told_as_they_happen_and_again_to_those_who_were_away(
     assert len(unknown.until(7)) == 7
 
 
+@pytest.mark.long
 def test_events_tell_each_token_what_it_may_know(clip: Clip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("streamlod.server.api.access.RECHECK_SECONDS", 0.2)
     grants: dict[str, Any] = {

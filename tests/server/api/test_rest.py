@@ -208,6 +208,7 @@ def test_streams_are_created_started_stopped_and_deleted(
         assert client.post("/v1/streams", json=body).status_code == 422
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("fields", "sentence"),
     [

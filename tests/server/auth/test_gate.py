@@ -203,6 +203,7 @@ def publishing(answer: dict[str, Any]) -> Iterator[tuple[str, list[str]]]:
         server.server_close()
 
 
+@pytest.mark.long
 def test_a_key_set_is_fetched_kept_and_fetched_again_for_new_keys(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
     first, second = ed25519.Ed25519PrivateKey.generate(), ed25519.Ed25519PrivateKey.generate()
     answer: dict[str, Any] = {"body": {"keys": [public_key(first, "first")]}}
@@ -358,6 +359,7 @@ def write_tokens(path: Path, names: str) -> None:
     path.write_text(json.dumps([{"name": name, "sha256": hash_token(name), "rights": ["read"]} for name in names]))
 
 
+@pytest.mark.long
 def test_certificates_and_tokens_are_renewed_while_viewers_stay(clip: Clip, tmp_path: Path) -> None:
     certificate, key = write_certificate(tmp_path, 1001)
     tokens, config = tmp_path / "tokens.json", tmp_path / "server.toml"

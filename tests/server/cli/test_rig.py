@@ -210,6 +210,7 @@ def write_still(file: Path) -> Path:
     return file
 
 
+@pytest.mark.long
 def test_phones_are_checked_while_they_film(tmp_path: Path) -> None:
     """A phone beside a file: it is shown its page, and both are in the table."""
     rig = write_definition(tmp_path, ["push:", "still.mp4"], sound="cam0")

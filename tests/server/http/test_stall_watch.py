@@ -74,6 +74,7 @@ def test_a_peer_that_takes_no_answer_is_cut(upgraded: bool) -> None:
                 pass
 
 
+@pytest.mark.long
 def test_a_download_that_is_read_too_slowly_is_cut_and_a_slow_one_is_not(tmp_path: Path) -> None:
     large, packet = tmp_path / "large.slod", encode_keyframe(make_scene((50, 500, 4000)), time_ns=0, profile=0)
     with SlodWriter(large) as writer:

@@ -131,6 +131,7 @@ def _watched(pictures: Sequence[Sequence[UInt8]]) -> Knocks:
     return watch
 
 
+@pytest.mark.long
 def test_where_most_cameras_have_moved_none_is_named() -> None:
     """It is the scene that did, or all are on one truss that was lowered."""
     before = [film[0] for film in _film(RIG, 0, 1)]

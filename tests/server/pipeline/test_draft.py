@@ -30,6 +30,7 @@ def test_a_draft_shows_every_camera_the_right_colours_in_the_right_places() -> N
         assert psnr(Splatter().picture(scene, camera), picture) > 18  # a picture of its mean colour has 12
 
 
+@pytest.mark.long
 def test_cameras_that_are_missing_take_no_part_and_one_alone_gives_none() -> None:
     dataset = open_synthetic(SPEC)
     frame = next(iter(dataset.frames()))

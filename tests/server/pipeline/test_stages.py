@@ -181,6 +181,7 @@ def test_a_failing_trainer_ends_the_stream_after_what_it_made(job: TrainJob, mon
         next(frames)
 
 
+@pytest.mark.long
 def test_previews_come_first_and_the_chain_holds(job: TrainJob) -> None:
     with brief_training(steps=60):
         frames = list(train_stream(open_job(job), previews=True))

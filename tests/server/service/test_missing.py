@@ -6,6 +6,8 @@ import subprocess
 import sys
 from importlib.util import find_spec
 
+import pytest
+
 CODE = """
 import sys
 hidden = ("nats", "ray", "opentelemetry.sdk", "opentelemetry.exporter")  # FastAPI may need the rest of the last
@@ -26,6 +28,7 @@ if len(sys.argv) > 1:
 """
 
 
+@pytest.mark.long
 def test_a_server_says_what_to_install_and_loads_nothing_of_ray_itself() -> None:
     """In a process of its own: packages of this one that were loaded keep their modules."""
     command = [sys.executable, "-c", CODE, *(["with ray"] if find_spec("ray") else [])]

@@ -7,6 +7,7 @@ import signal
 from pathlib import Path
 
 import httpx
+import pytest
 
 from tests.e2e.test_server_process import serving
 from tests.server.conftest import Clip
@@ -14,6 +15,7 @@ from tests.server.service.test_webhooks import receiver
 from tests.waiting import wait
 
 
+@pytest.mark.long
 def test_limits_and_webhooks_are_read_again(clip: Clip, tmp_path: Path) -> None:
     config = tmp_path / "server.toml"
     (tmp_path / "key").write_text("k" * 40)

@@ -134,6 +134,7 @@ def test_what_a_worker_did_to_a_frame_is_in_the_frames_trace(clip: Clip, monkeyp
         assert (frame.begin_ns, frame.end_ns) == (stages[0].begin_ns, stages[-1].end_ns)
 
 
+@pytest.mark.long
 def test_a_collector_that_does_not_answer_holds_nothing_up_and_is_told_of_once(
     clip: Clip, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

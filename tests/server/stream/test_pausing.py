@@ -14,6 +14,7 @@ from tests.server.conftest import Clip, running, viewing
 from tests.waiting import wait
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kept", [False, True])
 def test_nothing_is_made_while_nobody_watches(clip: Clip, tmp_path: Path, kept: bool) -> None:
     settings = Settings(on_demand_seconds=0, state=tmp_path if kept else None)

@@ -159,6 +159,7 @@ def test_what_is_not_known_is_not_passed_on_and_a_flood_is_cut_off(slow_clip: Cl
         assert shown_to(follower, by=None)["by"] is None
 
 
+@pytest.mark.long
 def test_nobody_presents_where_it_is_not_offered_or_without_the_right(slow_clip: Clip, tmp_path: Path) -> None:
     with running(Settings(), StreamSpec(play=slow_clip.path, loop=True)) as plain, joined(plain) as viewer:
         assert viewer.welcome["together"] is None
@@ -234,6 +235,7 @@ def test_who_presents_at_an_edge_is_followed_everywhere(server: Running) -> None
         shown_to(beside, by=beside.welcome["session"])
 
 
+@pytest.mark.long
 def test_an_edge_whose_right_is_withdrawn_presents_no_more_and_stays_connected(
     slow_clip: Clip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -237,6 +237,7 @@ class CancelledWhileClearingUp(Supervisor):
         asyncio.get_running_loop().call_soon(task.cancel)
 
 
+@pytest.mark.long
 def test_a_cancellation_while_an_ended_worker_is_cleared_up_is_not_lost() -> None:
     async def run() -> tuple[bool, Reports]:
         owner, watched = Reports(), WorkerSettings(attempts=3, first_delay_seconds=0.01)

@@ -61,6 +61,7 @@ def test_a_camera_that_was_pushed_aside_has_moved() -> None:
     assert all(each is not None and each.pixels > OFF for each in found)
 
 
+@pytest.mark.long
 def test_what_changes_before_a_camera_that_stands_is_no_knock() -> None:
     """Noise, lights, exposure, somebody near who fills most of the picture, and a covered lens."""
     random = np.random.default_rng(0)

@@ -139,6 +139,7 @@ def test_normals_are_those_of_the_surface() -> None:
         assert np.median(away @ -UP) > 0.99  # the floor's, seen from above
 
 
+@pytest.mark.long
 def test_equal_inputs_give_equal_depths() -> None:
     facing = sweep_views(views(), BOUNDS, 32)
     first, second = (slanted(views(), facing, BOUNDS) for _ in range(2))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 
 from streamlod.core.arrays import Float64
@@ -32,6 +33,7 @@ def widths(first_cell_pixels: float, points: int = 60_000) -> Float64:
     return np.asarray(400 * cell / distance)
 
 
+@pytest.mark.long
 def test_first_anchors_are_no_finer_than_their_least_width() -> None:
     whole_levels = np.sqrt(2)  # widths halve from level to level: the nearest level is taken
     assert 8 / whole_levels * 0.999 <= widths(8.0).min() < 8 * whole_levels

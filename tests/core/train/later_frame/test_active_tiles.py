@@ -74,6 +74,7 @@ def test_tiles_near_a_pixel() -> None:
     assert tiles_near(np.ones((40, 70), np.bool_), 0).all()
 
 
+@pytest.mark.long
 def test_a_camera_whose_picture_did_not_change_is_not_drawn() -> None:
     spec = SyntheticSpec(cameras=4, frames=3, width=96, height=56, seed=1)
     clip, live = open_synthetic(spec), preset("live")

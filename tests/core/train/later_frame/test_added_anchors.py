@@ -184,6 +184,7 @@ def test_a_frame_adds_a_share_of_the_anchors_while_there_is_room(
     assert (found > 0) == (most > 0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("room", "most", "frames"), [(0.0, 0, 2), (0.03, 6, 6)])
 def test_later_frames_have_hardly_more_anchors_than_the_first(
     scene: Scene, targets: Tensor, room: float, most: int, frames: int

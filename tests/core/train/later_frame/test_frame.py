@@ -71,6 +71,7 @@ def first(frames: list[FrameSet]) -> Scene:
     return Trainer(CLIP.cameras, configured(), CLIP.fps, "cpu").keyframe(frames[0], true_points(SPEC)).scene
 
 
+@pytest.mark.long
 def test_the_hooks_of_a_part_run_in_order(frames: list[FrameSet], first: Scene) -> None:
     witness = Witness()
     trainer = Trainer(CLIP.cameras, replace(configured(), parts=(witness,)), CLIP.fps, "cpu")

@@ -57,6 +57,7 @@ def test_each_shown_gaussian_pays_for_its_opacity_and_volume() -> None:
     assert (scales.grad[1] == 0).all()
 
 
+@pytest.mark.long
 def test_gaussians_that_no_picture_needs_go() -> None:
     """A printed wall, and as many points again in layers just behind it, which the wall covers."""
     cameras, front = ring(4), wall(600)

@@ -106,6 +106,7 @@ def test_a_still_scene_trains_nothing(clip: Dataset, frames: list[FrameSet], fir
     assert trainer.predict(replace(frames[0], index=3)).report.steps == 0
 
 
+@pytest.mark.long
 def test_a_frame_budget_sends_the_state_as_it_is(clip: Dataset, frames: list[FrameSet], first: Scene) -> None:
     """A run would outlast the frame; the frames after it lead on from what is sent."""
     trainer = trainer_at(clip, first, frames[1:4], budget_ms=60_000)

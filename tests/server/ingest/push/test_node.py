@@ -152,6 +152,7 @@ def test_a_slow_server_gets_newer_pictures_and_drops_are_counted(folder: Path, s
     assert len(server.taken) == pushed.acknowledged
 
 
+@pytest.mark.long
 def test_a_broken_connection_is_made_anew(
     tmp_path: Path, served: tuple[Server, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
