@@ -87,6 +87,7 @@ def test_what_announces_too_much_costs_nothing(tmp_path: Path, compiled: bool) -
     assert work["added for nothing"] == work["more added for nothing"]
 
 
+@pytest.mark.long
 def test_the_densest_packets_are_taken_in_little_memory(tmp_path: Path) -> None:
     """Rows for nothing, as many as the bytes allow."""
     ((code, _),) = _in_little_memory(tmp_path, [densest(40_000)], compiled=True)

@@ -160,6 +160,7 @@ def test_a_killed_server_keeps_what_it_recorded(clip: Clip, tmp_path: Path) -> N
         time.sleep(0.1)
 
 
+@pytest.mark.long
 def test_a_bad_start_is_one_sentence_and_exit_code_two() -> None:
     """As tests/server/cli/test_cli.py has of all commands, here in a process of its own."""
     with socket.socket() as taken:

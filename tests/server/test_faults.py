@@ -165,6 +165,7 @@ def test_packets_do_not_pile_up_in_a_proxy_on_the_way(heavy: Clip) -> None:
             assert_same_level(heavy.states[viewer.decoder.versions[0]].levels[0], scene.levels[0])
 
 
+@pytest.mark.long
 def test_connections_that_never_speak_websocket_properly_do_no_harm(clip: Clip) -> None:
     with running(Settings(limits=Limits(hello_seconds=2)), StreamSpec(play=clip.path)) as server:
         server.wait(lambda stream: stream["state"] == "live")

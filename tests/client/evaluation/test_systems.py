@@ -25,6 +25,7 @@ def first_frames() -> FirstFrames:
     return FirstFrames("cpu")
 
 
+@pytest.mark.long
 def test_first_frames_are_shared_by_what_differs_later_only(footage: Footage, first_frames: FirstFrames) -> None:
     training, _ = next(footage.pairs())
     one, *_ = first_frames.get(footage, training, CONFIG)

@@ -49,6 +49,7 @@ def _play(clip: Clip) -> StreamSpec:
     return StreamSpec(play=clip.path)
 
 
+@pytest.mark.long
 def test_every_get_has_its_head(client: httpx.Client) -> None:
     document = client.get("/openapi.json").json()
     incarnation = client.get("/v1/streams/main").json()["incarnation"]
@@ -238,6 +239,7 @@ def test_events_tell_each_token_what_it_may_know(clip: Clip, tmp_path: Path, mon
             viewer.connection.recv(60)
 
 
+@pytest.mark.long
 def test_a_web_token_is_withdrawn_by_its_name_or_hash(tmp_path: Path) -> None:
     import jwt
 

@@ -67,6 +67,7 @@ def test_the_file_names_what_gives_pictures_with_its_size(tmp_path: Path) -> Non
     assert settings.certificate_key.stat().st_mode & 0o077 == 0
 
 
+@pytest.mark.long
 def test_a_rig_is_as_fast_as_its_slowest_camera(tmp_path: Path) -> None:
     """At twice its rate, pictures of two such cameras would fall on instants in turns, and none have both."""
     pictures = [burnt(number) for number in range(8)]
@@ -81,6 +82,7 @@ def test_a_rig_is_as_fast_as_its_slowest_camera(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "phones.json").read_text())["fps"] == 30
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sound", ["phone1", "alsa:///default", "music.wav"])
 def test_the_file_names_whose_sound_is_heard(tmp_path: Path, sound: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
@@ -91,6 +93,7 @@ def test_the_file_names_whose_sound_is_heard(tmp_path: Path, sound: str, monkeyp
     assert heard == (str(tmp_path / sound) if sound.endswith(".wav") else sound)
 
 
+@pytest.mark.long
 def test_sound_of_nobody_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"sound of 'phone2', which is neither a camera \(phone1\) nor a file"):
         found(tmp_path, phones=1, sound="phone2")
@@ -112,6 +115,7 @@ def test_what_cannot_be_a_rig_is_refused(tmp_path: Path) -> None:
     assert (tmp_path / "rig.json").read_text() == "{}"
 
 
+@pytest.mark.long
 def test_nobody_else_may_read_the_file_as_sources_hold_passwords(tmp_path: Path) -> None:
     (tmp_path / "rig.json").write_text("{}")
     (tmp_path / "rig.json").chmod(0o644)

@@ -79,6 +79,7 @@ def test_a_peer_that_takes_nothing_is_given_up_though_pings_are_added() -> None:
     assert _STUCK_SECONDS <= asyncio.run(run()) < 10
 
 
+@pytest.mark.long
 def test_a_peer_that_takes_a_little_is_waited_for() -> None:
     async def run() -> float:
         connection, peer, there = await connected()

@@ -94,6 +94,7 @@ def test_sound_of_a_camera_comes_on_the_clock_of_its_pictures(tmp_path: Path) ->
     assert _in_step(flashes[1:], clicks), (flashes, clicks)
 
 
+@pytest.mark.long
 def test_pictures_go_on_without_the_sound(tmp_path: Path) -> None:
     """A camera without sound, and a microphone that is not there: a sentence each."""
     write_sounding(tmp_path / "a.mp4", 3)

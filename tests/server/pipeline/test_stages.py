@@ -193,6 +193,7 @@ def test_previews_come_first_and_the_chain_holds(job: TrainJob) -> None:
     assert decoded(frames).version == 6
 
 
+@pytest.mark.long
 def test_the_seed_reaches_the_training(job: TrainJob, trained: tuple[Path, list[EncodedFrame]]) -> None:
     """The same one gives the same keyframe to the byte, but for its identifier; another one another."""
 
@@ -242,6 +243,7 @@ def test_a_run_goes_on_in_the_space_of_the_state(job: TrainJob, trained: tuple[P
         np.testing.assert_allclose(camera.world_to_camera, known[camera.name].world_to_camera, rtol=0, atol=2**-20)
 
 
+@pytest.mark.long
 def test_of_more_cameras_than_a_header_holds_those_that_train_are_offered(tmp_path: Path) -> None:
     cameras = writers.rig([f"IMG_{number:04d}" for number in range(256)], (32, 16))
     entries = [(f"{camera.name}.png", camera, "PINHOLE") for camera in cameras]

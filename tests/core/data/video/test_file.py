@@ -52,6 +52,7 @@ def test_a_codec_that_nobody_knows_is_refused(tmp_path: Path) -> None:
         probe_video(path)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
 def test_damaged_bytes_are_read_or_refused(tmp_path: Path, suffix: str) -> None:
     """Above all those of headers and index, at either end of the file."""

@@ -60,6 +60,7 @@ def rig() -> tuple[tuple[Camera, ...], Float32]:
     return clip.cameras, frame.images.astype(np.float32) / 255
 
 
+@pytest.mark.long
 def test_the_kernel_finds_what_plain_code_finds() -> None:
     cameras, pictures = rig()
     generator = np.random.default_rng(0)
