@@ -27,7 +27,6 @@ import numpy as np
 from streamlod.client.evaluation.measure.machine import machine
 from streamlod.client.evaluation.report.output import result_folder, side_by_side
 from streamlod.client.evaluation.report.tables import number, table
-from streamlod.client.recorder import write_png
 from streamlod.core.arrays import UInt8
 from streamlod.core.files import write_text
 from streamlod.core.options import PRESETS
@@ -35,7 +34,7 @@ from tests.bench.zoo.cells import CellKey, Cells, program_digest
 from tests.bench.zoo.run import ZooOptions, picture_name, run_zoo
 
 DOWNSCALE = 2.0  # of pictures of 480x270
-PICTURE = "results-worst.png"  # in images, beside the page
+PICTURE = "results-worst.jpg"  # in images, beside the page
 ROOT = Path(__file__).parents[2]
 
 
@@ -57,7 +56,8 @@ def main() -> None:
     text = page(found)
     if options.page:
         write_text(options.page, text)
-        write_png(result_folder(options.page.parent / "images") / PICTURE, worst_pictures(found))
+        picture = result_folder(options.page.parent / "images") / PICTURE
+        cv2.imwrite(str(picture), worst_pictures(found)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])
     print(text)
 
 
@@ -116,7 +116,8 @@ the reporting half of the zoo, on which nothing was chosen. Older figures, with 
 {table(head, rows)}
 ## Levels
 
-PSNR of the last frame for a viewer who has its coarsest level alone, that and the next, and so on to the whole.
+PSNR of the first seed's last frame for a viewer who has its coarsest level alone, that and the next, and so on to the
+whole.
 
 {table(("scene", "preset", "PSNR up to each level"), levels)}
 ## The worst, looked at
