@@ -34,7 +34,8 @@ def landmarks(picture: UInt8) -> Features:
     """The features of a picture [H,W,3] by which it is compared with others, in pixels at a width of 1000."""
     height, width = picture.shape[:2]
     scale = min(1.0, _SIDE / max(height, width))
-    small = picture if scale == 1 else cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    size = max(round(scale * width), 1), max(round(scale * height), 1)
+    small = picture if scale == 1 else cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
     found = features_of(np.asarray(small, np.uint8), _MOST)
     return Features(found.points * (1000 / small.shape[1]), found.descriptors)
 

@@ -76,3 +76,11 @@ def test_what_changes_before_a_camera_that_stands_is_no_knock() -> None:
         for now in (somebody, other, np.full_like(picture, 9), cv2.GaussianBlur(picture, (0, 0), 20)):
             found = shift(BEFORE[number], landmarks(np.asarray(now, np.uint8)))
             assert found is None or found.pixels < 0.5
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 200), (8, 4000), (4000, 8)])
+def test_pictures_of_any_shape_are_looked_at(size: tuple[int, int]) -> None:
+    """Also those of which one side would vanish when they are made smaller."""
+    seen = landmarks(np.random.default_rng(0).integers(0, 255, (*size, 3)).astype(np.uint8))
+    found = shift(seen, seen)
+    assert found is None or found.pixels == 0
