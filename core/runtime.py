@@ -39,7 +39,7 @@ def prepare_environment() -> None:
     if os.environ["OMP_WAIT_POLICY"].upper() == "PASSIVE":
         os.environ.setdefault("GOMP_SPINCOUNT", "1000")
     os.environ.setdefault("NUMBA_THREADING_LAYER", "omp")
-    if "NUMBA_CACHE_DIR" not in os.environ:  # processes of ours that start others have read all the sources for them
+    if "NUMBA_CACHE_DIR" not in os.environ:  # else a parent has found it, which takes reading all kernels' sources
         os.environ["NUMBA_CACHE_DIR"] = str(kernel_cache_folder())
     if fault := cache_fault(Path(os.environ["NUMBA_CACHE_DIR"])):
         _LOG.warning("compiled kernels cannot be kept (%s), so every start compiles them anew, which takes minutes; "

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from streamlod.client.connection.link import WatchOptions
+    from streamlod.client.connection.presenting import Presenter
     from streamlod.client.connection.watch import watch
     from streamlod.client.events import Disconnected, NewScene, Notice, Welcome
     from streamlod.client.recorder import open_recorder, write_png
@@ -31,6 +32,7 @@ __all__ = [
     "Disconnected",
     "NewScene",
     "Notice",
+    "Presenter",
     "RecordedFrame",
     "RecordingFile",
     "Scene",
@@ -53,6 +55,7 @@ __all__ = [
 
 _HOMES = {
     "client.connection.link": ("WatchOptions",),
+    "client.connection.presenting": ("Presenter",),
     "client.connection.watch": ("watch",),
     "client.events": ("Disconnected", "NewScene", "Notice", "Welcome"),
     "client.recorder": ("open_recorder", "write_png"),

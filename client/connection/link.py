@@ -34,7 +34,7 @@ class WatchOptions:
         levels: how many levels, coarse ones first; all by default.
         follows: be told what a presenter shows, as a Notice `presenter` (`client.connection.presented`).
         nearest: watch at the nearest of the edges that the server names, where one answers.
-        presents: what shows others where a program looks.
+        presents: what tells the server where this program looks, so that others can follow it.
     """
 
     token: str | None = None

@@ -72,7 +72,7 @@ class EdgeStream(Stream):
         self._coming_epoch = 0  # of the packets that arrive
         self._joining = False  # until the first packet of a connection has been compared with what is held
         self._session = ""  # of ours at the origin
-        self.together.open(False)
+        self.together.permit(False)
         self.update(described)
 
     @property
@@ -186,7 +186,7 @@ class EdgeStream(Stream):
     def on_break(self, reason: str) -> None:
         """See `supply.PacketTaker`."""
         self._breaks += 1
-        self.together.open(False)
+        self.together.permit(False)
         self.together.relay(None, Present(None, None))
         self._enter(
             "degraded",
@@ -200,7 +200,7 @@ class EdgeStream(Stream):
 
     def _on_right(self, told: object) -> None:
         if isinstance(told, dict) and isinstance(may := told.get("may_present"), bool):
-            self.together.open(may)
+            self.together.permit(may)
 
     def _on_presenter(self, message: dict[str, Any]) -> None:
         self._on_right(message)

@@ -180,7 +180,7 @@ class LiveDataset:
                 time_ns = first.capture_ns + round((instant.number - first.number) * period_of(self.fps))
                 knocks.look(images, present, pool)
                 rig.note_shifts(knocks.shifts, knocked := knocks.knocked)
-                if (present & ~knocked).any():  # what it shows is not where its pose says
+                if (present & ~knocked).any():  # a knocked camera shows what is not where its pose says
                     present = present & ~knocked
                 yield FrameSet(index, time_ns, images, present, latency_ns)
                 index += 1

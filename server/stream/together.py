@@ -26,13 +26,13 @@ class Together:
         followers: called when there is something new to see.
         forward: asks this server's origin to show what a viewer presents, which it does unless somebody else presents;
             None where this server is the origin.
-        is_open: whether the origin lets us.
+        is_permitted: whether the origin lets viewers of this server present; true where this is the origin.
     """
 
     def __init__(self, is_offered: bool) -> None:
         self.is_offered = is_offered
         self.forward: Callable[[Present], None] | None = None
-        self.is_open = True
+        self.is_permitted = True
         self._asked: str | None = None  # session whose view the origin was asked to show
         self.watchers: set[Callable[[], None]] = set()
         self.by: str | None = None
@@ -68,9 +68,9 @@ class Together:
         else:
             self._show(by, {"view": message.view, "at": message.at.to_json()})
 
-    def open(self, is_open: bool) -> None:
-        """The origin lets this server present, or no longer; nothing of ours is shown there any more."""
-        self.is_open, self._asked = is_open, None
+    def permit(self, is_permitted: bool) -> None:
+        """The origin lets viewers of this server present, or no longer; nothing of theirs is shown there any more."""
+        self.is_permitted, self._asked = is_permitted, None
         for tell in tuple(self.watchers):
             tell()
 

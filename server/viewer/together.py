@@ -62,7 +62,7 @@ class Companion:
 
     @property
     def _can_present(self) -> bool:
-        return self._may_present and self._together.is_offered and self._together.is_open
+        return self._may_present and self._together.is_offered and self._together.is_permitted
 
     def _follow(self, on: bool) -> None:
         together = self._together

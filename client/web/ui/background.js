@@ -1,6 +1,6 @@
 /** What is behind the scene: its own colour, or one that is chosen, which the address keeps. */
 
-import { menuItem } from "./page.js";
+import { keepInAddress, menuItem } from "./page.js";
 
 /** @typedef {import("../view/viewer.js").Viewer} Viewer */
 
@@ -14,17 +14,9 @@ export function colourOf(text) {
 /** @type {(colour: number[]) => string} */
 const textOf = (colour) => colour.map((x) => Math.round(255 * x).toString(16).padStart(2, "0")).join("");
 
-/** Keep what is chosen in the address, without what is as usual. @param {string} name @param {string | null} text */
-export function keep(name, text) {
-  const address = new URL(location.href);
-  if (text) address.searchParams.set(name, text);
-  else address.searchParams.delete(name);
-  history.replaceState(history.state, "", address);
-}
-
 /** @param {Viewer} viewer @param {string | null} text */
 function choose(viewer, text) {
-  keep("background", text);
+  keepInAddress("background", text);
   viewer.paint(colourOf(text));
 }
 

@@ -1,6 +1,6 @@
 /** Depth of field: how blurred is what is nearer or farther than what is looked at. The address keeps it. */
 
-import { keep } from "./background.js";
+import { keepInAddress } from "./page.js";
 
 const STEPS = 100;
 
@@ -12,7 +12,7 @@ export function lensItems(viewer) {
   const label = Object.assign(document.createElement("label"), { textContent: "Depth of field" });
   const field = Object.assign(document.createElement("input"), { type: "range", max: String(STEPS), value: String(STEPS * viewer.blur) });
   field.oninput = () => {
-    keep("blur", field.value === "0" ? null : field.value);
+    keepInAddress("blur", field.value === "0" ? null : field.value);
     viewer.focus(blurOf(field.value));
   };
   label.append(field);

@@ -13,6 +13,14 @@ export const button = (id) => /** @type {HTMLButtonElement} */ (element(id));
 /** @type {(id: string, icon: string) => void} show another icon on a button */
 export const setIcon = (id, icon) => element(id).querySelector("use")?.setAttribute("href", `#i-${icon}`);
 
+/** Keep what is chosen in the page's address; null: as usual, which is left out. @param {string} name @param {string | null} text */
+export function keepInAddress(name, text) {
+  const address = new URL(location.href);
+  if (text) address.searchParams.set(name, text);
+  else address.searchParams.delete(name);
+  history.replaceState(history.state, "", address);
+}
+
 let toastTimer = 0;
 /** A line that goes away by itself, with a button where there is something to do about it. @type {(text: string, ms?: number, offer?: { label: string, act: () => void } | null) => void} */
 export function toast(text, ms = 2600, offer = null) {

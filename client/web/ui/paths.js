@@ -2,7 +2,7 @@
 
 import { fromText, toText } from "../view/camera.js";
 import { checked, EMPTY, fromLink, lengthOf, MAX_KEYS, poseAt, toJson, toLink } from "../view/path.js";
-import { attachMenu, button, element, menuItem, toast } from "./page.js";
+import { attachMenu, button, element, keepInAddress, menuItem, toast } from "./page.js";
 
 /** @typedef {import("../view/path.js").Path} Path */
 
@@ -44,10 +44,7 @@ export class Paths {
   /** @param {Path} path @param {boolean} [isDrawn] - the panel shows it already, as whoever edits a field goes on to the next */
   #change(path, isDrawn = false) {
     this.path = path;
-    const address = new URL(location.href);
-    if (path.keys.length) address.searchParams.set("path", toLink(path));
-    else address.searchParams.delete("path");
-    history.replaceState(history.state, "", address);
+    keepInAddress("path", path.keys.length ? toLink(path) : null);
     if (!this.panel.hidden && !isDrawn) this.#fill();
   }
 
