@@ -20,6 +20,7 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 _PNG_PIXELS = {b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"}
 _WITH_ALPHA = {4, 6}  # colour types
 _JPEG = b"\xff\xd8"
+_EXIF_SEGMENT, _ORIENTATION = 0xE1, 0x0112
 _END_OF_IMAGE, _START_OF_SCAN = 0xD9, 0xDA
 _MARKER = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)  # among entropy-coded data
 _FRAME_HEADERS = {0xC0, 0xC1, 0xC2}  # baseline, extended sequential, progressive; Huffman-coded
@@ -37,11 +38,13 @@ class AnnouncedPicture:
         size: (width, height) in pixels, each at least 1.
         data: what to decode.
         transparent: whether pixels may be transparent.
+        turned: whether a JPEG's Exif says that it is to be shown turned or mirrored.
     """
 
     size: tuple[int, int]
     data: bytes
     transparent: bool = False
+    turned: bool = False
 
 
 def announced_picture(data: bytes) -> AnnouncedPicture | None:
@@ -55,7 +58,7 @@ def _jpeg(data: bytes) -> AnnouncedPicture | None:
 
     Behind may lie anything: a phone's film of the moment, a depth map, another picture.
     """
-    at, size = 2, None
+    at, size, turned = 2, None, False
     for _ in range(MAX_SEGMENTS):
         while data[at : at + 2] == b"\xff\xff":  # fill bytes
             at += 1
@@ -64,7 +67,7 @@ def _jpeg(data: bytes) -> AnnouncedPicture | None:
         marker, length = data[at + 1], struct.unpack_from(">H", data, at + 2)[0]
         if marker == _START_OF_SCAN:
             end = _end_of_scans(data, at)
-            return AnnouncedPicture(size, data[:end]) if size is not None and end is not None else None
+            return AnnouncedPicture(size, data[:end], turned=turned) if size is not None and end is not None else None
         if length < 2 or at + 2 + length > len(data):
             return None
         if marker in _FRAME_HEADERS and size is None and length >= 8:
@@ -72,6 +75,7 @@ def _jpeg(data: bytes) -> AnnouncedPicture | None:
             size = width, height
         elif marker not in _TABLES:
             return None
+        turned = turned or (marker == _EXIF_SEGMENT and _is_turned(data[at + 4 : at + 2 + length]))
         at += 2 + length
     return None
 
@@ -91,6 +95,19 @@ def _end_of_scans(data: bytes, at: int) -> int | None:
             return None
         at = found.end() + struct.unpack_from(">H", data, found.end())[0]
     return None
+
+
+def _is_turned(segment: bytes) -> bool:
+    """Whether the first directory of an Exif segment (CIPA DC-008) names another orientation than 1."""
+    order = {b"Exif\0\0II*\0": "<", b"Exif\0\0MM\0*": ">"}.get(segment[:10])
+    if order is None or len(segment) < 14:
+        return False
+    begin = 6 + struct.unpack_from(order + "I", segment, 10)[0] + 2
+    for at in range(begin, len(segment) - 11, 12):
+        tag, _, _, value = struct.unpack_from(order + "HHIH", segment, at)
+        if tag >= _ORIENTATION:  # entries ascend
+            return bool(tag == _ORIENTATION and 2 <= value <= 8)
+    return False
 
 
 def _png(data: bytes) -> AnnouncedPicture | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import json
 import warnings
 from collections.abc import Iterator
@@ -48,8 +49,11 @@ def read_text(path: Path, undecodable: str = "strict") -> str:
     Raises:
         InputError: missing, very large or not UTF-8.
     """
+    data = read_bytes(path, MAX_TEXT_BYTES)
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):  # which `undecodable` would let through
+        raise InputError(path, "is UTF-16 text; save it as UTF-8")
     try:
-        return read_bytes(path, MAX_TEXT_BYTES).decode("utf-8-sig", undecodable)
+        return data.decode("utf-8-sig", undecodable)
     except UnicodeDecodeError as error:
         raise InputError(path, f"is not UTF-8 text (see byte {error.start}); save it as UTF-8") from error
 

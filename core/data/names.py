@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -38,6 +39,16 @@ def folders_in(folder: Path) -> list[Path]:
     """Folders of `folder` in numeric order, without hidden ones and those that archives of macOS leave behind."""
     found = (p for p in folder.iterdir() if not p.name.startswith((".", "__MACOSX")) and p.is_dir())
     return sorted(found, key=lambda path: numeric_key(path.name))
+
+
+def inside(folder: Path, name: str) -> Path | None:
+    """The path of `name` in `folder`, which a file from outside gives; None where it leads out of there.
+
+    Links are not looked into: they are of whoever made the folder, as its files are.
+    """
+    here = folder.absolute()
+    path = Path(os.path.normpath(here / name))
+    return folder / path.relative_to(here) if path.is_relative_to(here) and path != here else None
 
 
 def like_most(folders: Sequence[Path]) -> list[Path]:

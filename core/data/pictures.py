@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter, defaultdict
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -20,17 +21,22 @@ from streamlod.core.errors import InputError
 SUFFIXES = (".png", ".jpg", ".jpeg")
 _NOT_READ = (".webp", ".heic", ".heif", ".avif", ".jxl", ".tif", ".tiff", ".bmp", ".gif", ".exr", ".dng", ".tga")
 MAX_SIDE = 16384
+_log = logging.getLogger(__name__)
 _Key = TypeVar("_Key", bound=Hashable)
 MAX_BYTES = 512 << 20
 
 
 def picture_size(path: Path) -> tuple[int, int]:
-    """(width, height) from the file's header, without decoding it.
+    """(width, height) from the file's header, without decoding it; the log tells what Exif says in vain.
 
     Raises:
         InputError: missing, neither PNG nor JPEG, or of a size that is refused.
     """
-    return _checked(path).size
+    picture = _checked(path)
+    if picture.turned:
+        told = "%s: its Exif says that it is to be turned, which is not done: the calibration must be of it as stored"
+        _log.warning(told, path)
+    return picture.size
 
 
 def read_picture(path: Path) -> UInt8:

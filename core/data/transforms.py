@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from streamlod.core.camera import Camera
 from streamlod.core.data.colmap.reader import fitted
 from streamlod.core.data.dataset import RawRecording, Source
 from streamlod.core.data.files import blaming, number, numbers, read_json
-from streamlod.core.data.names import listed, numeric_key
+from streamlod.core.data.names import inside, listed, numeric_key
 from streamlod.core.data.pictures import SUFFIXES as PICTURE_SUFFIXES
 from streamlod.core.data.pictures import find_pictures, not_read, picture_size
 from streamlod.core.data.sources import Pictures, videos
@@ -36,6 +35,7 @@ MAX_FRAMES = 4096
 _MAX_OFFSET_S = 86_400
 _log = logging.getLogger(__name__)
 _MODELS = ("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+_LENSES = ("is_fisheye", "latlong", "equirectangular", "ftheta_p0")  # of instant-ngp, where they are true or given
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
 # of fisheye, rational, thin prism and tilted models
 _UNSUPPORTED = ("k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
@@ -105,12 +105,10 @@ def opengl_pose(matrix: Float64) -> Float64:
 def _spellings(folder: Path, name: object, file: Path) -> list[Path]:
     if not isinstance(name, str) or not name or "\0" in name:
         raise InputError(file, "each frame needs a 'file_path'")
-    spellings = [Path(name), Path(name.replace("\\", "/"))]  # Windows writes it otherwise
-    here = folder.absolute()
-    paths = [Path(os.path.normpath(here / spelling)) for spelling in spellings]
-    if not all(path.is_relative_to(here) for path in paths):
+    paths = [inside(folder, spelling) for spelling in (name, name.replace("\\", "/"))]  # Windows writes it otherwise
+    if None in paths:
         raise InputError(file, f"file_path {name!r} leads out of the folder")
-    return [folder / path.relative_to(here) for path in paths]
+    return [path for path in paths if path is not None]
 
 
 def _source(files: list[Path], offsets: list[float], file: Path) -> tuple[Source, list[tuple[int, int]]]:
@@ -126,8 +124,11 @@ def _source(files: list[Path], offsets: list[float], file: Path) -> tuple[Source
 
 
 def _camera(name: str, settings: dict[str, Any], size: tuple[int, int], picture: Path, file: Path) -> Camera:
-    if settings.get("is_fisheye"):
-        raise InputError(f"camera {name}", "a fisheye lens (is_fisheye) is not supported; undistort the pictures first")
+    for key in _LENSES:
+        if settings.get(key):
+            raise InputError(
+                f"camera {name}", f"a lens of another kind ({key}) is not supported; undistort the pictures first"
+            )
     if settings.get("camera_model", "OPENCV") not in _MODELS:
         model = settings["camera_model"]
         raise InputError(f"camera {name}", f"lens model {model!s:.40} is not supported ({', '.join(_MODELS)} are)")
@@ -143,6 +144,8 @@ def _camera(name: str, settings: dict[str, Any], size: tuple[int, int], picture:
     matrix = settings.get("transform_matrix")
     rows = 3 if isinstance(matrix, list) and len(matrix) == 3 else 4  # some leave out the last, which is always 0 0 0 1
     matrix = numbers(matrix, (rows, 4), f"transform_matrix of {name}", file)
+    if rows == 4 and np.abs(matrix[3, :3]).max() > 1e-6:
+        raise InputError(f"camera {name}", "the last row of its transform_matrix is not 0 0 0 1; is it transposed?")
     with np.errstate(all="ignore"):  # whatever comes of absurd numbers, Camera refuses it
         pose = opengl_pose(matrix)
     camera = Camera(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from streamlod.codec.container import SlodReader, SlodWriter
 from streamlod.codec.decoder import SceneDecoder
 from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.opening import open_packets
 from streamlod.codec.packet.levels import split_levels
 from streamlod.core.errors import BitstreamError, InputError
 from streamlod.core.scene.anchors import Scene
@@ -151,3 +153,10 @@ def test_the_way_through_a_long_chain_takes_linear_time(tmp_path: Path, clip: tu
             space.append(taken.peak_bytes)
     assert work[1] < 4.1 * work[0]
     assert space[1] < 5 * space[0]  # and not sixteen times
+
+
+@pytest.mark.timeout(20)
+def test_a_pipe_is_refused_instead_of_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.slod")
+    with pytest.raises(InputError, match=r"a\.slod: is a pipe"):
+        open_packets(tmp_path / "a.slod")

@@ -10,13 +10,14 @@ An instant's pictures lie in images/, else in images_2/, images_4/ ..., else in 
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from pathlib import Path, PurePosixPath
 
 from streamlod.core.camera import Camera
 from streamlod.core.data.colmap.model import ColmapModel, find_model, has_model, points_of, read_model
 from streamlod.core.data.dataset import RawRecording
 from streamlod.core.data.files import blaming
-from streamlod.core.data.names import files_in, folders_in, like_most, listed, numeric_key
+from streamlod.core.data.names import files_in, folders_in, inside, like_most, listed, numeric_key
 from streamlod.core.data.pictures import SUFFIXES, find_pictures, not_read, picture_size
 from streamlod.core.data.sources import Pictures
 from streamlod.core.errors import InputError
@@ -41,6 +42,8 @@ def read_colmap(path: Path) -> RawRecording:
     if home is None or model_folder is None:
         raise InputError(path, "holds no COLMAP model: sparse/0/cameras.bin (or .txt) is missing")
     model = read_model(model_folder)
+    if twice := [name for name, count in Counter(image.name for image in model.images).items() if count > 1]:
+        raise InputError(model_folder, f"places pictures twice: {listed(twice, 3)}")
     instants = [_pictures_folder(folder) for folder in _instants(path, home)]
     found = _registered_files(model, instants[0])
     skipped = tuple(name for name, file in found.items() if file is None)
@@ -110,8 +113,8 @@ def _registered_files(model: ColmapModel, folder: Path) -> dict[str, Path | None
     wanted = {}
     for image in model.images:
         posix = image.name.replace("\\", "/")  # Windows writes it otherwise
-        paths = [folder / spelling for spelling in (image.name, posix, PurePosixPath(posix).name)]
-        wanted[image.name] = [path for path in paths if folder.resolve() in path.resolve().parents]
+        spellings = (image.name, posix, PurePosixPath(posix).name)
+        wanted[image.name] = [path for name in spellings if (path := inside(folder, name)) is not None]
     return find_pictures(wanted)
 
 

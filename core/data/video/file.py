@@ -114,6 +114,8 @@ def _first_picture(path: Path) -> tuple[tuple[int, int], int]:
             if curve := _HIGH_DYNAMIC_RANGE.get(frame.color_trc):
                 fault = "%s: is HDR video (%s), whose pictures will look flat; film without HDR, or convert it"
                 _log.warning(fault, path, curve)
+            if any(component.is_alpha for component in frame.format.components):
+                _log.warning("%s: is transparent, which is not used: what lies under it is trained", path)
             if frame.interlaced_frame:
                 _log.warning("%s: is interlaced, so that what moves has combs; deinterlace it with ffmpeg first", path)
             with blaming(path):

@@ -23,12 +23,17 @@ OWN_CLOCK = {"mpegts", "mpeg"}  # formats whose time does not begin at 0
 
 
 def pictures_of(container: av.container.InputContainer) -> av.video.stream.VideoStream | None:
-    """The video in a file; None where it holds none that can be decoded but a still picture beside its sound."""
-    for stream in container.streams.video:
-        unknown = getattr(stream, "codec_context", None) is None  # a codec that FFmpeg does not have
-        if not unknown and not stream.disposition & av.stream.Disposition.attached_pic:
-            return stream
-    return None
+    """The video in a file, of several the one that players show, as the file says or else the first.
+
+    None where it holds none that can be decoded but a still picture beside its sound.
+    """
+    videos = [
+        stream
+        for stream in container.streams.video
+        if getattr(stream, "codec_context", None) is not None  # a codec that FFmpeg has
+        and not stream.disposition & av.stream.Disposition.attached_pic
+    ]
+    return next((s for s in videos if s.disposition & av.stream.Disposition.default), next(iter(videos), None))
 
 
 class PictureTimes:

@@ -211,6 +211,26 @@ def test_names_that_lead_out_of_the_folder_are_not_followed(tmp_path: Path) -> N
     assert open_dataset(tmp_path / "data").names == ("b",)
 
 
+def test_pictures_may_be_links_and_one_that_leads_to_itself_is_missing(tmp_path: Path) -> None:
+    _one_instant(tmp_path, write_colmap_binary)
+    images = tmp_path / "images"
+    (images / "cam00.png").rename(tmp_path / "elsewhere.png")
+    (images / "cam00.png").symlink_to(tmp_path / "elsewhere.png")
+    (images / "cam02.png").unlink()
+    (images / "cam02.png").symlink_to("cam02.png")
+    dataset = open_dataset(tmp_path)
+    assert (dataset.names, dataset.skipped) == (("cam00", "cam10"), ("cam02.png",))
+    assert read_back(next(iter(dataset.frames())).images[0]) == (0, 0)
+
+
+@both_formats
+def test_a_picture_that_a_model_places_twice_is_refused(tmp_path: Path, write: Writer) -> None:
+    _one_instant(tmp_path, write)
+    write(tmp_path / "sparse" / "0", [("cam00.png", camera, "PINHOLE") for camera in rig(NAMES)], POINTS)
+    with pytest.raises(InputError, match=r"sparse/0: places pictures twice: cam00\.png$"):
+        open_dataset(tmp_path)
+
+
 def test_points_that_are_not_finite_are_left_out(tmp_path: Path) -> None:
     write_colmap_binary(tmp_path, [], np.concatenate([POINTS, [[np.nan, 0, 0, 0, 0, 0], [1e300, 0, 0, 0, 0, 0]]]))
     assert len(read_points(tmp_path)) == 2
@@ -429,6 +449,14 @@ def test_text_models_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
     assert dataset.names == NAMES
     assert points is not None
     assert len(points) == 2
+
+
+def test_text_models_in_utf_16_say_so(tmp_path: Path) -> None:
+    _one_instant(tmp_path, write_colmap_text)
+    cameras = tmp_path / "sparse" / "0" / "cameras.txt"
+    cameras.write_text(cameras.read_text(), "utf-16")
+    with pytest.raises(InputError, match=r"cameras\.txt: is UTF-16 text; save it as UTF-8"):
+        open_dataset(tmp_path)
 
 
 @pytest.mark.parametrize("stray", ["__MACOSX", "thumbs", "0001_old", ".trash"])

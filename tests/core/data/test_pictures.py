@@ -88,3 +88,22 @@ def test_data_behind_a_jpeg_is_left_out(tmp_path: Path, progressive: int) -> Non
     alone = read_picture(path)
     path.write_bytes(data.tobytes() + 5000 * b"\xff\xda\x00\x08")
     np.testing.assert_array_equal(read_picture(path), alone)
+
+
+@pytest.mark.parametrize(("order", "mark"), [("<", b"II"), (">", b"MM")])
+def test_an_orientation_that_is_not_followed_is_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, order: str, mark: bytes
+) -> None:
+    """Exif of a phone held upside down: COLMAP and nerfstudio calibrate pixels as they are stored."""
+    write_picture(tmp_path / "a.jpg", picture(3, 5))
+    data = (tmp_path / "a.jpg").read_bytes()
+    for orientation in (3, 1):
+        exif = b"Exif\0\0" + mark + struct.pack(order + "HIH", 42, 8, 2)
+        exif += struct.pack(order + "HHI4sHHIHHI", 0x10F, 2, 4, b"abc", 0x112, 3, 1, orientation, 0, 0)
+        (tmp_path / "a.jpg").write_bytes(data[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + data[2:])
+        assert picture_size(tmp_path / "a.jpg") == (96, 64)
+    assert len([message for message in caplog.messages if "its Exif says that it is to be turned" in message]) == 1
+    cut = (tmp_path / "a.jpg").read_bytes()
+    for value in range(256):  # wherever the directory begins and ends
+        (tmp_path / "a.jpg").write_bytes(cut[:16] + bytes([value]) * 6 + cut[22:])
+        picture_size(tmp_path / "a.jpg")

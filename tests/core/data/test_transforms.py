@@ -210,7 +210,10 @@ def test_pictures_of_other_kinds_are_named(tmp_path: Path, caplog: pytest.LogCap
         ({"cx": 4800}, "its principal point is 4800, 32 for pictures of 96x64; give it in pixels"),
         ({"transform_matrix": (np.nan * np.eye(4)).tolist()}, "camera cam10: its pose holds numbers that are not"),
         ({"camera_model": "OPENCV_FISHEYE"}, "lens model OPENCV_FISHEYE is not supported"),
-        ({"is_fisheye": True}, r"a fisheye lens \(is_fisheye\) is not supported"),
+        ({"is_fisheye": True}, r"a lens of another kind \(is_fisheye\) is not supported"),
+        ({"latlong": True}, r"a lens of another kind \(latlong\) is not supported"),
+        ({"ftheta_p0": 0.1}, r"a lens of another kind \(ftheta_p0\) is not supported"),
+        ({"transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 5, 1]]}, "is it transposed"),
         ({"k4": 0.1}, "the coefficient k4 is not supported"),
         ({"camera_model": "FULL_OPENCV", "k6": 0.1}, "the coefficient k6 is not supported"),
         ({"s1": 0.1}, "the coefficient s1 is not supported"),
@@ -266,5 +269,5 @@ def test_a_byte_order_mark_is_passed_over(tmp_path: Path) -> None:
     file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
     assert open_dataset(tmp_path).names == NAMES
     file.write_text(file.read_text("utf-8-sig"), "utf-16")
-    with pytest.raises(InputError, match=r"transforms\.json: is not UTF-8 text .*; save it as UTF-8"):
+    with pytest.raises(InputError, match=r"transforms\.json: is UTF-16 text; save it as UTF-8"):
         open_dataset(tmp_path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
 import av
@@ -90,3 +91,10 @@ def test_interlaced_video_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixtu
     write_video(tmp_path / "cam.mp4", [picture(0, 0)], options={"flags": "+ilme+ildct"})
     probe_video(tmp_path / "cam.mp4")
     assert "is interlaced" in "".join(caplog.messages)
+
+
+def test_transparent_video_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    make = ["ffmpeg", "-loglevel", "error", "-f", "lavfi", "-i", "color=red@0.5:s=96x64:d=0.1,format=yuva444p10le"]
+    subprocess.run([*make, "-c:v", "prores_ks", "-profile:v", "4444", str(tmp_path / "cam.mov")], check=True)
+    probe_video(tmp_path / "cam.mov")
+    assert "is transparent, which is not used" in "".join(caplog.messages)

@@ -181,3 +181,12 @@ def test_a_file_with_sound_before_its_pictures(tmp_path: Path) -> None:
         container.mux(video.encode(None))
         container.mux(sound.encode(None))
     assert _seen(path) == {t + 3: t for t in range(6)}
+
+
+def test_of_two_videos_in_a_file_the_one_that_players_show_counts(tmp_path: Path) -> None:
+    write_video(tmp_path / "other.mp4", PICTURES[6:12])
+    write_video(tmp_path / "cam.mp4", PICTURES[:6])
+    both = ["ffmpeg", "-loglevel", "error", "-i", str(tmp_path / "other.mp4"), "-i", str(tmp_path / "cam.mp4")]
+    shown = ["-map", "0", "-map", "1", "-c", "copy", "-disposition:v:0", "0", "-disposition:v:1", "default"]
+    subprocess.run([*both, *shown, str(tmp_path / "both.mp4")], check=True)
+    assert _seen(tmp_path / "both.mp4") == {t: t for t in range(6)}
