@@ -247,7 +247,7 @@ def _undistort(stream: Iterator[UInt8 | None], plan: Undistortion, into: UInt8, 
     picture = next(stream)
     if picture is None:
         return False
-    (width, height), name = plan.raw_size, plan.camera.name
+    width, height, name = plan.lens.width, plan.lens.height, plan.camera.name
     if picture.shape == (height, width, 3):
         into[:] = plan(picture)
         return True

@@ -94,13 +94,13 @@ class Undistortion:
     """A plan that turns one camera's raw pictures into those of its pinhole camera.
 
     Attributes:
-        raw_size: (width, height) of the pictures that come in.
+        lens: the camera of the pictures that come in.
         upright: the pinhole camera of the pictures before they are turned.
         maps: OpenCV fixed-point sampling maps, or none without distortion.
         is_turned: whether pictures are turned a quarter, to lie like those of other cameras.
     """
 
-    raw_size: tuple[int, int]
+    lens: Camera
     upright: Camera
     maps: tuple[NDArray[Any], NDArray[Any]] | None
     is_turned: bool = False
@@ -116,9 +116,30 @@ class Undistortion:
         if self.maps is not None:
             straight = cv2.remap(picture, *self.maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         size = self.upright.width, self.upright.height
-        if size != self.raw_size:
+        if size != (self.lens.width, self.lens.height):
             straight = cv2.resize(straight, size, interpolation=cv2.INTER_AREA)
         return np.rot90(straight) if self.is_turned else straight
+
+    def as_by(self, other: Undistortion, points: Float64) -> Float64:
+        """[N,2] pixels in which `other` shows what this plan shows at `points` [N,2] of one raw picture.
+
+        NaN where the other's lens shows no ray.
+        """
+        if self.is_turned:
+            points = np.stack([self.upright.width - points[:, 1], points[:, 0]], axis=1)
+        seen = _pixels(self.lens, distort(_rays(self.upright, points), self.lens.distortion))
+        found = _pixels(other.upright, undistort(_rays(other.lens, seen), other.lens.distortion))
+        return np.stack([found[:, 1], other.upright.width - found[:, 0]], axis=1) if other.is_turned else found
+
+
+def _rays(camera: Camera, pixels: Float64) -> Float64:
+    """[N,2] points on the plane z = 1, without distortion."""
+    return np.asarray((pixels - camera.intrinsics[:2, 2]) / camera.intrinsics[[0, 1], [0, 1]], np.float64)
+
+
+def _pixels(camera: Camera, rays: Float64) -> Float64:
+    """The inverse of `_rays`."""
+    return np.asarray(rays * camera.intrinsics[[0, 1], [0, 1]] + camera.intrinsics[:2, 2], np.float64)
 
 
 def undistortions(cameras: Sequence[Camera], downscale: float) -> tuple[Undistortion, ...]:
@@ -185,7 +206,7 @@ def undistortion(camera: Camera, size: tuple[int, int]) -> Undistortion:
             (camera.width, camera.height),
             cv2.CV_16SC2,
         )
-    return Undistortion((camera.width, camera.height), straight.scaled(*size), maps)
+    return Undistortion(camera, straight.scaled(*size), maps)
 
 
 def distort(points: Float64, coefficients: Float64) -> Float64:
@@ -209,6 +230,8 @@ def distort(points: Float64, coefficients: Float64) -> Float64:
 def undistort(points: Float64, coefficients: Float64) -> Float64:
     """The inverse of `distort`, by Newton's method; NaN where the lens shows no ray, or shows it twice."""
     ideal = points.copy()
+    if not coefficients.any():
+        return ideal
     with np.errstate(all="ignore"):
         for _ in range(_ITERATIONS):
             miss = points - distort(ideal, coefficients)

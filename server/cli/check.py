@@ -54,7 +54,7 @@ def _recorded(data: Path, layout: str | None) -> RigCheck:
     for begin in begins:
         with closing(opened.frames(begin, min(count, begin + 2))) as found:  # type: ignore[type-var]
             frames += found
-    examined = examine(opened.cameras, frames, _clocks(data))
+    examined = examine(opened.undistortions, frames, _clocks(data))
     return replace(examined, findings=(*examined.findings, *(weak(fault) for fault in sound_faults(opened))))
 
 
@@ -96,7 +96,7 @@ def _live(file: Path, settings: Settings, say: Say) -> RigCheck:
                     break
     if not frames and not partial:
         raise InputError(file, f"gave no instant within {seconds:.0f} s; see that its cameras run")
-    found = examine(rig.cameras, frames or list(partial))
+    found = examine(rig.undistortions, frames or list(partial))
     more = [] if told is None else _timed(told, rig.fps)
     if told is not None and told.sound is not None:
         more.append(weak(told.sound) if told.sound else fact(f"the sound of {rig.definition.sound_name} is heard"))

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from streamlod.core.calibration.checks import clocks, coverage, looks, matches, poses
+from streamlod.core.calibration.checks import agreement, clocks, coverage, looks, matches, poses
 from streamlod.core.calibration.checks.finding import RigFinding, fault
 from streamlod.core.camera import Camera
+from streamlod.core.data.lens import Undistortion
 from streamlod.core.frames import FrameSet
 
 _MARKS = {"fault": "FAULT", "weak": "weak ", "fact": "     "}
@@ -36,14 +37,15 @@ class RigCheck:
 
 
 def examine(
-    cameras: Sequence[Camera], frames: Sequence[FrameSet], times: Mapping[str, clocks.Clock] | None = None
+    plans: Sequence[Undistortion], frames: Sequence[FrameSet], times: Mapping[str, clocks.Clock] | None = None
 ) -> RigCheck:
-    """The check of cameras without distortion by some instants, in order.
+    """The check of cameras by some instants, in order.
 
     Args:
+        plans: what made the pictures of `frames` fit the cameras.
         times: clocks by camera, where they are known.
     """
-    known = dict(times or {})
+    known, cameras = dict(times or {}), [plan.camera for plan in plans]
     of_camera = [[frame.images[number] for frame in frames if frame.present[number]] for number in range(len(cameras))]
     seen = [number for number, pictures in enumerate(of_camera) if pictures]
     found = [looks.look_of(cameras[number].name, of_camera[number]) for number in seen]
@@ -60,9 +62,9 @@ def examine(
         present = [cameras[number] for number in seen]
         # what stands still is the same at all instants, so these need not agree
         pairs = matches.matched([of_camera[number][len(of_camera[number]) // 2] for number in seen])
-        agreed = poses.agreements(pairs, present)
-        findings += poses.judged(agreed, pairs, present)
-        best[seen] = poses.misses(agreed, len(present))
+        agreed = agreement.agreements(pairs, present)
+        findings += poses.judged(agreed, pairs, [plans[number] for number in seen])
+        best[seen] = agreement.misses(agreed, len(present))
         findings += coverage.judged(coverage.coverage_of(present), present)
     findings.sort(key=lambda finding: _ORDER.index(finding.severity))
     rows = _rows(cameras, dict(zip(seen, found, strict=True)), known, best.tolist())

@@ -55,6 +55,25 @@ def _picture(camera: Camera) -> UInt8:
     return np.round(_shade(rays)).astype(np.uint8).reshape(camera.height, camera.width, 3)
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_points_of_a_picture_undone_by_the_wrong_lens_go_where_the_right_one_shows_them(turned: bool) -> None:
+    first = _camera(np.zeros(5)) if not turned else replace(_camera(np.zeros(5)), width=160, height=240)
+    wrong, right = undistortions([first, _camera(BARREL), _camera(PINCUSHION)], 1.6)[1:]
+    assert wrong.is_turned == turned
+    points = np.array([[20.0, 15.0], [50.0, 40.0], [70.0, 80.0]])
+    raw = np.zeros((160, 240, 3), np.uint8)
+    moved = wrong.as_by(right, points)
+    assert np.abs(moved - points).max() > 2
+    np.testing.assert_allclose(right.as_by(wrong, moved), points, atol=1e-5)
+    v, u = np.mgrid[:160, :240]
+    raw = np.stack([u, v, 0 * u], axis=-1).astype(np.uint8)  # each pixel tells where it lies
+    told = [
+        cv2.remap(plan(raw).astype(np.float32), np.float32(at - 0.5), None, cv2.INTER_LINEAR)[:, 0]
+        for plan, at in ((wrong, points), (right, moved))
+    ]
+    np.testing.assert_allclose(told[0], told[1], atol=1.0)
+
+
 @pytest.mark.parametrize("coefficients", [BARREL, PINCUSHION], ids=["barrel", "pincushion"])
 @pytest.mark.parametrize("downscale", [1, 2, 2.5])
 def test_undistorted_pictures_are_those_of_the_pinhole(coefficients: Float64, downscale: float) -> None:
@@ -112,7 +131,7 @@ def test_absurd_distortion_is_refused() -> None:
 def test_pictures_of_one_shape_get_the_smallest_size() -> None:
     cameras = [_camera(BARREL), _camera(np.zeros(5)).scaled(480, 320), _camera(BARREL).scaled(121, 80)]
     plans = undistortions(cameras, 2)
-    assert [plan.raw_size for plan in plans] == [(240, 160), (480, 320), (121, 80)]
+    assert [(plan.lens.width, plan.lens.height) for plan in plans] == [(240, 160), (480, 320), (121, 80)]
     assert {(plan.camera.width, plan.camera.height) for plan in plans} == {(60, 40)}
     np.testing.assert_allclose(plans[1].camera.intrinsics[:2], _camera(BARREL).intrinsics[:2] / 4)
 

@@ -14,6 +14,7 @@ from streamlod.core.calibration.checks.clocks import Clock, clock_of, judged
 from streamlod.core.calibration.checks.report import RigCheck, examine
 from streamlod.core.calibration.walk import WalkFootage
 from streamlod.core.camera import Camera
+from streamlod.core.data.lens import undistortions
 from streamlod.core.frames import FrameSet
 from streamlod.core.synthetic import SyntheticSpec, write_clip
 from tests.core.calibration.checks import room
@@ -50,7 +51,7 @@ def turned(camera: Camera, degrees: float) -> Camera:
 
 def test_a_sound_rig_has_no_fault(filmed: Filmed) -> None:
     cameras, frames = filmed
-    check = examine(cameras, frames)
+    check = examine(undistortions(cameras, 1), frames)
     assert faults(check) == []
     assert check.text().endswith("the rig can film")
     assert any("two cameras or more see" in finding.sentence for finding in check.findings)
@@ -59,7 +60,7 @@ def test_a_sound_rig_has_no_fault(filmed: Filmed) -> None:
 def test_a_knocked_camera_is_named_alone(filmed: Filmed) -> None:
     cameras, frames = filmed
     knocked = [turned(camera, 2.0) if number == 2 else camera for number, camera in enumerate(cameras)]
-    (sentence,) = faults(examine(knocked, frames))
+    (sentence,) = faults(examine(undistortions(knocked, 1), frames))
     assert sentence.startswith(f"{cameras[2].name} was knocked or turned")
 
 
@@ -67,7 +68,7 @@ def test_a_knocked_camera_is_named_alone(filmed: Filmed) -> None:
 def test_exchanged_names_are_named(filmed: Filmed) -> None:
     cameras, frames = filmed
     swapped = [replace(cameras[{1: 4, 4: 1}.get(n, n)], name=camera.name) for n, camera in enumerate(cameras)]
-    (sentence,) = faults(examine(swapped, frames))
+    (sentence,) = faults(examine(undistortions(swapped, 1), frames))
     assert sentence.startswith(f"{cameras[1].name} and {cameras[4].name} are exchanged")
 
 
@@ -76,7 +77,7 @@ def test_a_blurred_and_a_dark_camera_are_named(filmed: Filmed) -> None:
     cameras, frames = filmed
     blurred = changed(frames, 1, [cv2.GaussianBlur(frame.images[1], (0, 0), 3) for frame in frames])
     both = changed(blurred, 3, [frame.images[3] // 16 for frame in frames])
-    sentences = faults(examine(cameras, both))
+    sentences = faults(examine(undistortions(cameras, 1), both))
     assert any(sentence.startswith(f"{cameras[1].name} is out of focus") for sentence in sentences)
     assert any(sentence.startswith(f"{cameras[3].name} is dark") for sentence in sentences)
 
@@ -88,14 +89,15 @@ def test_a_camera_that_shows_one_picture_is_named(filmed: Filmed) -> None:
         replace(frame, images=np.roll(frame.images, 3 * number, axis=2)) for number, frame in enumerate(frames)
     ]  # everything moves
     still = changed(noisy, 0, [noisy[0].images[0]] * len(noisy))
-    (sentence,) = [each for each in faults(examine(cameras, still)) if "one picture all the time" in each]
+    found = faults(examine(undistortions(cameras, 1), still))
+    (sentence,) = [each for each in found if "one picture all the time" in each]
     assert sentence.startswith(cameras[0].name)
 
 
 def test_a_camera_without_pictures_is_named(filmed: Filmed) -> None:
     cameras, frames = filmed
     absent = [replace(frame, present=np.arange(len(cameras)) != 5) for frame in frames]
-    check = examine(cameras, absent)
+    check = examine(undistortions(cameras, 1), absent)
     assert faults(check) == [f"{cameras[5].name} gave no picture: see its source and its power"]
     assert cameras[5].name in check.table
 
@@ -108,7 +110,7 @@ def test_cameras_with_the_pose_of_another_are_named(filmed: Filmed) -> None:
         f"{cameras[0].name} and {camera.name} stand at one place by their poses: calibrate again"
         for camera in cameras[1:]
     }
-    assert wanted <= set(faults(examine(copied, frames)))
+    assert wanted <= set(faults(examine(undistortions(copied, 1), frames)))
 
 
 def test_few_cameras_far_apart_are_told_where_another_helps(filmed: Filmed) -> None:
@@ -121,7 +123,7 @@ def test_few_cameras_far_apart_are_told_where_another_helps(filmed: Filmed) -> N
         for camera, eye in zip(cameras, eyes, strict=False)
     ]
     three = [replace(frame, images=frame.images[:3], present=frame.present[:3]) for frame in frames]
-    sentences = [finding.sentence for finding in examine(apart, three).findings]
+    sentences = [finding.sentence for finding in examine(undistortions(apart, 1), three).findings]
     wanted = f"{cameras[1].name} and {cameras[2].name} stand 92 degrees apart"
     assert any(sentence.startswith(wanted) for sentence in sentences)
 

@@ -5,18 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
+from itertools import permutations
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from streamlod.core.calibration.checks.agreement import agreements
 from streamlod.core.calibration.checks.matches import PairMatches, matched
-from streamlod.core.calibration.checks.poses import agreements, judged
+from streamlod.core.calibration.checks.poses import judged
 from streamlod.core.camera import Camera
 from streamlod.core.data import open_dataset
+from streamlod.core.data.lens import undistort, undistortions
 from tests.core.calibration.checks import room
 
+WIDER = np.array([[1, 0, 120.3], [0, 1, 67.7], [0, 0, 1]])
 Shared = tuple[tuple[Camera, ...], list[PairMatches]]
 
 
@@ -26,8 +30,32 @@ def row() -> Shared:
     return rig, matched(room.frames(rig, 1)[0].images)
 
 
+Bent = tuple[list[Camera], list[np.ndarray]]
+
+
+@pytest.fixture(scope="module")
+def bent() -> Bent:
+    """Cameras of two kinds of lenses, and their pictures before these are undone."""
+    lenses = [np.array([-0.3, 0.05, 0.001, 0, 0]), np.array([0.15, -0.1, 0, 0.001, 0])]
+    cameras = [replace(camera, distortion=lenses[n % 2]) for n, camera in enumerate(room.cameras(4))]
+    wide = [replace(each.undistorted(), width=720, height=405, intrinsics=WIDER @ each.intrinsics) for each in cameras]
+    return cameras, [as_bent(*each) for each in zip(cameras, wide, room.frames(wide, 1)[0].images, strict=True)]
+
+
+def as_bent(camera: Camera, straight: Camera, picture: np.ndarray) -> np.ndarray:
+    """What a distorted camera shows of the larger picture of a pinhole beside it."""
+    rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
+    pixels = np.stack([columns, rows], axis=-1).reshape(-1, 2)
+    focal, middle = camera.intrinsics[[0, 1], [0, 1]], camera.intrinsics[:2, 2]
+    rays = undistort((pixels - middle) / focal, camera.distortion)
+    at = rays * straight.intrinsics[[0, 1], [0, 1]] + straight.intrinsics[:2, 2] - 0.5
+    maps = at.reshape(camera.height, camera.width, 2).astype(np.float32)
+    return cv2.remap(picture, maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
 def faults(pairs: Sequence[PairMatches], cameras: Sequence[Camera]) -> list[str]:
-    found = judged(agreements(pairs, cameras), pairs, cameras)
+    plans = undistortions(cameras, 1)
+    found = judged(agreements(pairs, [plan.camera for plan in plans]), pairs, plans)
     return [finding.sentence for finding in found if finding.severity == "fault"]
 
 
@@ -55,7 +83,7 @@ def test_a_turn_along_the_row_is_seen_by_threes_alone(row: Shared) -> None:
     twos = [each for each in agreements(pairs, turned) if len(each.cameras) == 2]
     assert faults(pairs, turned) != []
     assert any(1 in each.cameras and each.miss < 3 for each in twos)
-    assert not any(finding.severity == "fault" for finding in judged(twos, pairs, turned))
+    assert not any(finding.severity == "fault" for finding in judged(twos, pairs, undistortions(turned, 1)))
 
 
 def test_of_three_cameras_one_is_at_fault(row: Shared) -> None:
@@ -64,6 +92,37 @@ def test_of_three_cameras_one_is_at_fault(row: Shared) -> None:
     (sentence,) = faults(three, knocked(cameras[:3], 1, np.array([0, 3.0, 0]), np.zeros(3)))
     assert sentence.startswith("one of ")
     assert "cam_1" in sentence.split(" was knocked or turned: what they see lies ")[0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_knocks_far_in_any_direction_are_no_exchange(row: Shared, seed: int) -> None:
+    cameras, pairs = row
+    turns = np.random.default_rng(seed).normal(size=(8, 3))
+    for number, turn in enumerate(turns / np.linalg.norm(turns, axis=1, keepdims=True)):
+        which, degrees = number % 4, 5.0 * (1 + number)
+        (sentence,) = faults(pairs, knocked(cameras, which, degrees * turn, np.zeros(3)))
+        assert sentence.startswith(f"{cameras[which].name} was knocked or turned")
+
+
+ORDERS = [order for order in permutations(range(4)) if sum(number != each for number, each in enumerate(order)) == 2]
+ORDERS += [(1, 2, 0, 3), (3, 2, 1, 0)]
+
+
+@pytest.mark.parametrize("order", ORDERS, ids=lambda order: "".join(map(str, order)))
+def test_pictures_under_each_others_names_are_told_though_lenses_differ(bent: Bent, order: tuple[int, ...]) -> None:
+    """The camera in the middle, which all disagree with, is not to be blamed for two others."""
+    cameras, raw = bent
+    plans = undistortions(cameras, 1)
+    pairs = matched([plan(raw[number]) for plan, number in zip(plans, order, strict=True)])
+    (sentence,) = [
+        finding.sentence
+        for finding in judged(agreements(pairs, [plan.camera for plan in plans]), pairs, plans)
+        if finding.severity == "fault"
+    ]
+    moved = [number for number in range(4) if order[number] != number]
+    assert sentence.split(" are exchanged")[0].replace(" and", ",").split(", ") == [f"cam_{n}" for n in moved]
+    if len(moved) > 2:
+        assert ", ".join(f"cam_{order[number]}" for number in moved) in sentence
 
 
 def test_neighbours_in_a_row_that_are_exchanged_are_named(row: Shared) -> None:
@@ -105,12 +164,17 @@ def test_right_calibrations_of_recordings_have_no_fault(real_data: Path, name: s
     for index in (0, dataset.frame_count // 2):
         with closing(dataset.frames(index, index + 1)) as frames:  # type: ignore[type-var]
             (frame,) = frames
-        assert faults(matched(frame.images), dataset.cameras) == []
+        pairs = matched(frame.images)
+        assert not [
+            each
+            for each in judged(agreements(pairs, dataset.cameras), pairs, dataset.undistortions)
+            if each.severity == "fault"
+        ]
 
 
 def test_cameras_of_which_a_turn_would_not_be_seen_are_told(row: Shared) -> None:
     cameras, pairs = row
     two = [pair for pair in pairs if (pair.first, pair.second) == (1, 2)]
-    sentences = [finding.sentence for finding in judged(agreements(two, cameras), two, cameras)]
+    sentences = [finding.sentence for finding in judged(agreements(two, cameras), two, undistortions(cameras, 1))]
     assert [sentence[:11] for sentence in sentences] == ["cam_0 share", "cam_3 share", "of cam_1, c"]
     assert sentences[-1].startswith("of cam_1, cam_2 a turn to the side would not be seen")
