@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -121,6 +121,20 @@ def test_looking_takes_a_fiftieth_of_the_time() -> None:
         images.now += 1 / 30
     saved = 10 / 0.5  # looks for which there was time before
     assert saved + 55 < images.looks < saved + 65
+
+
+def test_a_look_that_breaks_is_logged_once_and_ends_the_watch(caplog: pytest.LogCaptureFixture) -> None:
+    picture = _film(RIG[:1], 0, 1)[0][0]
+    turned = np.asarray(cv2.warpAffine(picture, cv2.getRotationMatrix2D((120, 67), 3, 1), (240, 134)), np.uint8)
+    watch, told = Knocks(2, lambda: 0.0), []
+    with ThreadPoolExecutor(1) as pool:
+        for image in [picture, turned, turned, picture[:0], picture, picture]:
+            watch.look([image, picture], np.ones(2, np.bool_), pool)
+            pool.submit(int).result()  # the look is over
+            told.append(watch.knocked.tolist())
+    assert told[2] == [True, False], "while it was watched"
+    assert told[-1] == [False, False], "nobody is left out for ever"
+    assert [record.getMessage()[:40] for record in caplog.records] == ["knocked cameras are no longer watched fo"]
 
 
 def _watched(pictures: Sequence[Sequence[UInt8]]) -> Knocks:
