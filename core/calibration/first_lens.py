@@ -27,18 +27,8 @@ def first_lens(track: Track, board: Float64) -> Float64:
     Raises:
         InputError: the camera saw the board too rarely, or only flat on, so that its focal length is not known.
     """
-    rows = np.flatnonzero(track.seen >= MIN_CORNERS)
-    spread = [row for row in rows if _is_spread(track.corners[row])]
-    if len(spread) < MIN_PICTURES:
-        raise InputError(
-            f"camera {track.camera}",
-            f"saw the board in {len(spread)} of {len(track.times)} pictures well enough, and needs {MIN_PICTURES}; "
-            "walk the board nearer to it, slowly, tilted to and fro",
-        )
-    chosen = covering([cells_of(track.corners[row], track.size) for row in spread], _MAX_PICTURES)
-    pictures = track.corners[np.array(spread)[chosen]]
+    objects, points = chosen_corners(track, board)
     width, height = track.size
-    objects, points = _pairs(pictures, board)
     flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_ASPECT_RATIO
     flags |= cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_USE_INTRINSIC_GUESS
     best: tuple[float, Float64] | None = None
@@ -58,6 +48,21 @@ def first_lens(track: Track, board: Float64) -> Float64:
             "its focal length does not follow from how it saw the board; tilt the board to and fro in front of it",
         )
     return best[1]
+
+
+def chosen_corners(track: Track, board: Float64) -> tuple[Sequence[Float64], Sequence[Float64]]:
+    """Board and picture corners of some pictures that cover what the camera saw."""
+    rows = np.flatnonzero(track.seen >= MIN_CORNERS)
+    spread = [row for row in rows if _is_spread(track.corners[row])]
+    if len(spread) < MIN_PICTURES:
+        raise InputError(
+            f"camera {track.camera}",
+            f"saw the board in {len(spread)} of {len(track.times)} pictures well enough, and needs {MIN_PICTURES}; "
+            "walk the board nearer to it, slowly, tilted to and fro",
+        )
+    chosen = covering([cells_of(track.corners[row], track.size) for row in spread], _MAX_PICTURES)
+    pictures = track.corners[np.array(spread)[chosen]]
+    return _pairs(pictures, board)
 
 
 def _is_spread(corners: Float64) -> bool:

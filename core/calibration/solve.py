@@ -24,6 +24,7 @@ from streamlod.core.calibration.board.description import Board
 from streamlod.core.calibration.first_lens import first_lens
 from streamlod.core.calibration.graph import first_poses
 from streamlod.core.calibration.instants import chosen_instants
+from streamlod.core.calibration.known_lens import check_known
 from streamlod.core.calibration.stillness import check_still
 from streamlod.core.calibration.sync import first_offsets
 from streamlod.core.calibration.track import Track
@@ -81,9 +82,11 @@ def calibrate(tracks: Sequence[Track], board: Board, known: Mapping[str, Float64
         known: lenses [9] by camera that are kept.
 
     Raises:
-        InputError: a camera that saw too little, or does not agree with the others; it is named.
+        InputError: a camera that saw too little, does not agree with the others, or has another lens than is known; it
+            is named.
     """
     names, known = [track.camera for track in tracks], known or {}
+    check_known(tracks, known, board.corners)
     fixed = np.array([name in known for name in names])
     lenses = np.array([known[t.camera] if t.camera in known else first_lens(t, board.corners) for t in tracks])
     offsets = first_offsets(tracks, lenses, board.corners, board.centre)

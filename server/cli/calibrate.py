@@ -53,7 +53,7 @@ def calibrate(
 
     described, folder = _board(board, square_mm, data), data if out is None else out
     footage = open_walk(data)
-    known = {} if lenses is None else _known_lenses(lenses)
+    known = {} if lenses is None else _known_lenses(lenses, footage)
     check_folder(folder, overwrite=overwrite)
     seen = board_as_seen(footage, described)
     found = solve(_tracks(footage, seen), seen, known)
@@ -94,11 +94,19 @@ def _board(board: str | None, square_mm: float | None, folder: Path, *, beside: 
     return found if square_mm is None else replace(found, square_m=square_mm / 1000)
 
 
-def _known_lenses(folder: Path) -> dict[str, Float64]:
-    """Lenses by camera's name of a calibrated recording."""
+def _known_lenses(folder: Path, footage: Sequence[WalkFootage]) -> dict[str, Float64]:
+    """Lenses by camera's name of a calibrated recording, whose pictures have the size of the walk's."""
     from streamlod.core.calibration.adjustment.projection import lens_of
     from streamlod.core.data import open_dataset
     from streamlod.core.data.lens import opencv_matrix
 
     cameras = open_dataset(folder).recording.cameras
+    sizes = {each.camera: each.size for each in footage}
+    for camera in cameras:
+        width, height = sizes.get(camera.name, size := (camera.width, camera.height))
+        if (width, height) != size:
+            raise InputError(
+                f"camera {camera.name}",
+                f"its lens in {folder} is for {size[0]}x{size[1]}, and the walk has {width}x{height}; film in one size",
+            )
     return {camera.name: lens_of(opencv_matrix(camera), camera.distortion) for camera in cameras}

@@ -85,7 +85,11 @@ def minimise(
     for _ in range(_MAX_ROUNDS):
         normal, gradient = _normal(slopes, rest, scale, boards)
         while damping < _MAX_DAMPING:
-            tried = values - normal.damped(damping).solve(gradient)
+            try:
+                tried = values - normal.damped(damping).solve(gradient)
+            except np.linalg.LinAlgError:  # far from a minimum, rounding may leave it indefinite
+                damping *= 8
+                continue
             found = residuals(tried)
             better = _cost(found, scale)
             if better <= cost:

@@ -9,6 +9,7 @@ import pytest
 
 from streamlod.core.arrays import Float64
 from streamlod.core.calibration.adjustment import rigid
+from streamlod.core.calibration.known_lens import check_known
 from streamlod.core.calibration.solve import Calibration, calibrate
 from streamlod.core.calibration.track import Track
 from streamlod.core.errors import InputError
@@ -24,6 +25,27 @@ def poses_of(found: Calibration) -> Float64:
 
 def known_lenses(truth: Rig) -> dict[str, Float64]:
     return dict(zip(truth.names, truth.lenses, strict=True))
+
+
+def test_a_known_lens_of_another_camera_is_refused() -> None:
+    truth = rig()
+    tele = truth.lenses.copy()
+    tele[3, :2] *= 2  # those of the others are too much alike to be told from one small board
+    truth = replace(truth, lenses=tele)
+    right = known_lenses(truth)
+    tracks = walked(truth, fps=FPS, seconds=20)
+    check_known(tracks, right, BOARD.corners)
+    swapped = right | {"cam_0": right["cam_3"], "cam_3": right["cam_0"]}
+    with pytest.raises(InputError, match=r"camera cam_3: its known lens does not fit.*that of cam_0 fits"):
+        calibrate(tracks, BOARD, swapped)
+    zoomed = {name: np.concatenate([lens[:4] / 4, lens[4:]]) for name, lens in right.items()}
+    with pytest.raises(InputError, match=r"camera cam_0: its known lens does not fit.*; it zoomed, or"):
+        calibrate(tracks, BOARD, zoomed)
+    rare = [
+        replace(track, corners=np.where(np.arange(len(track.times))[:, None, None] < 3, track.corners, np.nan))
+        for track in tracks
+    ]
+    check_known(rare, swapped, BOARD.corners)  # too little is seen to tell
 
 
 def half(track: Track, begin: float, end: float) -> Track:

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from streamlod.core.errors import InputError
 from streamlod.server.cli.main import app
+from tests.core.data.writers import write_video_clip
 
 FPS = 10
 OFFSETS = np.array([0.0, 0.04, -0.03])  # seconds
@@ -44,3 +45,11 @@ def test_the_boards_description_is_found_with_the_videos_and_beside_their_folder
     (tmp_path / place / "charuco.toml").write_text("columns = 0\nrows = 5\n")
     refused = CliRunner().invoke(app, ["calibrate", str(tmp_path / "walk")])
     assert "columns and rows must be whole numbers" in str(refused.exception)
+
+
+def test_known_lenses_of_pictures_of_another_size_are_refused(tmp_path: Path) -> None:
+    for folder, size in (("walk", (64, 48)), ("lenses", (96, 72))):
+        write_video_clip(tmp_path / folder, ["left", "right"], 2, size)
+    refused = CliRunner().invoke(app, ["calibrate", str(tmp_path / "walk"), "--lenses", str(tmp_path / "lenses")])
+    assert isinstance(refused.exception, InputError)
+    assert f"camera left: its lens in {tmp_path}/lenses is for 96x72, and the walk has 64x48" in str(refused.exception)
