@@ -49,7 +49,7 @@ def test_the_boards_description_is_found_with_the_videos_and_beside_their_folder
 
 def test_known_lenses_of_pictures_of_another_size_are_refused(tmp_path: Path) -> None:
     for folder, size in (("walk", (64, 48)), ("lenses", (96, 72))):
-        write_video_clip(tmp_path / folder, ["left", "right"], 2, size)
+        write_video_clip(tmp_path / folder, ["cam00", "cam01"], 2, size)
     refused = CliRunner().invoke(app, ["calibrate", str(tmp_path / "walk"), "--lenses", str(tmp_path / "lenses")])
     assert isinstance(refused.exception, InputError)
-    assert f"camera left: its lens in {tmp_path}/lenses is for 96x72, and the walk has 64x48" in str(refused.exception)
+    assert f"camera cam00: its lens in {tmp_path}/lenses is for 96x72, and the walk has 64x48" in str(refused.exception)
