@@ -162,6 +162,7 @@ def export(
 def _export_clip(scene: Path, frame: int, viewpoint: str, out: Path) -> str:
     """Write the frames from `frame` on as one file, of the format that the suffix of `out` names."""
     from streamlod.codec.export.fourdgs_file import write_clip
+    from streamlod.codec.export.usd_cameras import add_usd_cameras
 
     first = decode_version(scene, _existing(scene, frame))
     places = _viewpoints(first, viewpoint)
@@ -176,6 +177,8 @@ def _export_clip(scene: Path, frame: int, viewpoint: str, out: Path) -> str:
 
     out.parent.mkdir(parents=True, exist_ok=True)
     count = write_clip(out, states(), places, first.metadata, first.header.fps)
+    if out.suffix != ".4dgs":
+        add_usd_cameras(out, first.header.cameras)
     return f"{out}: {count} Gaussians over time, {out.stat().st_size / 1000:.1f} KB, colours {_origin(viewpoint)}"
 
 

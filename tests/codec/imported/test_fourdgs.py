@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from streamlod.client.commands import export
 from streamlod.client.recording import decode_frames
 from streamlod.codec.imported import import_files
+from streamlod.core.camera import look_at, pinhole
 from streamlod.core.errors import InputError
 from streamlod.core.scene.expand import expand
 from streamlod.core.scene.gaussians import GaussianCloud
@@ -103,6 +104,24 @@ def test_usd_has_time_samples_the_unit_and_the_upright_axis(tmp_path: Path) -> N
         found = np.array(positions.Get(at)) * [1, -1, -1]
         assert len(found) == len(wanted)
         assert cKDTree(wanted.means).query(found)[0].max() < 1e-3 * np.ptp(wanted.means, axis=0).max()
+
+
+def test_cameras_in_usd_see_a_point_where_ours_do(tmp_path: Path) -> None:
+    usd = pytest.importorskip("pxr.Usd", reason="writes OpenUSD: pip install usd-core")
+    geometry, gf = pytest.importorskip("pxr.UsdGeom"), pytest.importorskip("pxr.Gf")
+    pose = look_at(np.array([1.0, -2, -9]), np.zeros(3), np.array([0.0, 1, 0]))
+    camera = pinhole("left one", (80, 70), (40, 35), (96, 64), pose)
+    scenes = [replace(state, header=replace(state.header, cameras=(camera,))) for state in states(2)]
+    write_clip(tmp_path / "a.slod", scenes)
+    export(tmp_path / "a.slod", 0, "average", "usd")
+    stage = usd.Stage.Open(str(tmp_path / "a.usdc"))
+    (found,) = (geometry.Camera(prim) for prim in stage.Traverse() if prim.GetTypeName() == "Camera")
+    assert found.GetPrim().GetDisplayName() == "left one"
+    frustum = found.GetCamera(usd.TimeCode.Default()).frustum
+    point = np.array([0.7, 0.4, 1.5])
+    seen = (frustum.ComputeViewMatrix() * frustum.ComputeProjectionMatrix()).Transform(gf.Vec3d(*(point * [1, -1, -1])))
+    x, y, z = camera.intrinsics @ (pose @ np.append(point, 1))[:3]
+    assert [48 * (1 + seen[0]), 32 * (1 - seen[1])] == pytest.approx([x / z, y / z], abs=1e-3)
 
 
 def test_a_gltf_snapshot_says_what_it_is(tmp_path: Path) -> None:
