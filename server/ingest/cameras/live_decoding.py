@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import av
@@ -15,7 +15,8 @@ from streamlod.core.data.video.reach import Reach
 from streamlod.server.ingest.cameras.reports import media_ns_of
 
 _LOG = logging.getLogger(__name__)
-_PATIENCE_SECONDS = 12.0  # until the first keyframe; encoders left to themselves send one every 250 pictures
+_USUAL_SECONDS = 12.0  # until the first keyframe; encoders left to themselves send one every 250 pictures
+_PATIENCE_SECONDS = 60.0  # after which another connection may do better
 
 
 class LiveDecoding:
@@ -24,10 +25,12 @@ class LiveDecoding:
     Args:
         camera: name, for the log, which is told once.
         stream: what is decoded.
+        missing: told, once, that the first keyframe does not come.
     """
 
-    def __init__(self, camera: str, stream: av.video.stream.VideoStream) -> None:
-        self._camera, self._stream = camera, stream
+    def __init__(self, camera: str, stream: av.video.stream.VideoStream, missing: Callable[[str], None]) -> None:
+        self._camera, self._stream, self._missing = camera, stream, missing
+        self._waits = True
         self._reach, self._told, self._since = Reach(), False, time.monotonic()
 
     def pictures(self, packet: av.Packet[Any]) -> list[av.VideoFrame]:
@@ -36,6 +39,14 @@ class LiveDecoding:
         Raises:
             av.FFmpegError: nothing of what came for a while can be decoded.
         """
+        right = self._pictures(packet)
+        self._waits = self._waits and not right
+        if self._waits and time.monotonic() - self._since > _USUAL_SECONDS:
+            self._missing(f"sent no keyframe within {_USUAL_SECONDS:g} s; set it to send one each second or two")
+            self._waits = False
+        return right
+
+    def _pictures(self, packet: av.Packet[Any]) -> list[av.VideoFrame]:
         if packet.pts is not None and packet.time_base is not None:
             self._reach.sample(packet, round(packet.pts * packet.time_base * 1_000_000_000))
         try:

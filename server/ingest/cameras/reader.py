@@ -129,7 +129,8 @@ class Reader(SourceThread):
         sound = None if self._hearing is None else sound_of(container)
         if self._hearing is not None and sound is None:
             self._hearing.gone("its source holds no sound")
-        reports, decoding = Reports(clock), LiveDecoding(self.camera, stream)
+        reports = Reports(clock)
+        decoding = LiveDecoding(self.camera, stream, lambda fault: self._gone(fault, ended=False))
         for packet in container.demux([stream] if sound is None else [stream, sound]):
             arrival = self._timeline.now_ns()
             if packet.stream is sound:

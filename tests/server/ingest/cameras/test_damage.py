@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from streamlod.core.arrays import UInt8
+from streamlod.server.ingest.cameras import live_decoding
 from streamlod.server.ingest.cameras.address import parse_address
 from streamlod.server.ingest.cameras.reader import Reader
 from streamlod.server.ingest.sync.picture import Picture
@@ -40,6 +41,7 @@ class Shown:
 
     def __init__(self) -> None:
         self.images: list[UInt8] = []
+        self.before: list[str] = []  # what was told before the first
         self.ended = threading.Event()
 
     def put(self, picture: Picture) -> None:
@@ -48,6 +50,8 @@ class Shown:
     def gone(self, camera: str, reason: str, *, ended: bool) -> None:
         if self.images:
             self.ended.set()
+        else:
+            self.before.append(reason)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +72,7 @@ def _numbers(clip: Path, images: list[UInt8]) -> list[int]:
     return [next((n for n, whole in enumerate(clean) if np.array_equal(image, whole)), -1) for image in images]
 
 
-def _read(address: str) -> list[UInt8]:
+def _read(address: str) -> Shown:
     shown = Shown()
     reader = Reader("cam0", parse_address(address), SIZE, 30.0, shown, Hasty(), anchor_ns=0)
     reader.start()
@@ -77,7 +81,7 @@ def _read(address: str) -> list[UInt8]:
     finally:
         reader.stop()
         reader.join(60)
-    return shown.images
+    return shown
 
 
 @contextmanager
@@ -101,21 +105,28 @@ def test_what_is_built_upon_lost_packets_is_missing_up_to_the_next_keyframe(clip
         at = [packet.pos for packet in container.demux(video=0) if packet.size > 0][63] + TS
     data = clip.read_bytes()
     with _served(data[:at] + data[at + TS * lost :]) as address:
-        numbers = _numbers(clip, _read(address))
+        numbers = _numbers(clip, _read(address).images)
     assert -1 not in numbers
     assert {*range(48, 62), *range(72, COUNT - 1)} <= set(numbers)  # the first are gone with finding out what it is
     assert (63 in numbers) == (lost == 0)
 
 
-def test_a_camera_that_is_joined_long_before_a_keyframe_is_waited_for(tmp_path: Path) -> None:
-    """One connection is enough; another would miss the keyframe as well."""
+def test_a_camera_that_is_joined_long_before_a_keyframe_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One connection is enough; another would miss the keyframe as well. What is waited for is said."""
+    monkeypatch.setattr(live_decoding, "_USUAL_SECONDS", 0.0)
     path, first = tmp_path / "long.ts", 60
     images = [np.full((*SIZE[::-1], 3), 20 + 2 * number, np.uint8) for number in range(COUNT)]
     write_video(path, images, codec="libx264", options={"x264-params": X264.replace("12", str(first))})
     with av.open(str(path)) as container:
         at = [packet.pos for packet in container.demux(video=0) if packet.size > 0][8]
     with _served(path.read_bytes()[at:]) as address:
-        numbers = _numbers(path, _read(address))
+        shown = _read(address)
+    assert [reason for reason in shown.before if "keyframe" in reason] == [
+        "sent no keyframe within 0 s; set it to send one each second or two"
+    ]
+    numbers = _numbers(path, shown.images)
     assert set(range(first + 1, COUNT - 1)) <= set(numbers)
 
 
@@ -175,7 +186,7 @@ def test_an_rtsp_camera_that_loses_packets_gives_no_wrong_picture(clip: Path) ->
     relay = Lossy(port, each=31)
     output = ("-f", "rtsp", "-rtsp_transport", "tcp", "-pkt_size", "200", f"rtsp://127.0.0.1:{relay.port}/cam")
     with sending(clip, output, again=False):
-        numbers = _numbers(clip, _read(f"rtsp+listen://127.0.0.1:{port}/cam"))
+        numbers = _numbers(clip, _read(f"rtsp+listen://127.0.0.1:{port}/cam").images)
     relay.close()
     assert relay.lost > 0
     assert -1 not in numbers
