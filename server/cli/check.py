@@ -75,7 +75,8 @@ def _live(file: Path, settings: Settings, say: Say) -> RigCheck:
     from streamlod.server.cli.rig import phones_socket
     from streamlod.server.ingest.live import open_live
 
-    rig = open_live(file, give_sound=lambda _: None)
+    heard = threading.Event()
+    rig = open_live(file, give_sound=lambda _: heard.set())
     with ExitStack() as stack:
         socket = phones_socket(file, rig.definition, settings, stack, say)
         rig = replace(rig, definition=replace(rig.definition, quorum=1), push_socket=socket)
@@ -90,16 +91,19 @@ def _live(file: Path, settings: Settings, say: Say) -> RigCheck:
         with closing(rig.frames()) as instants:
             for frame in instants:
                 told = rig.statistics()
-                if frame.index % _LIVE_STEP < 2:
+                if frame.index % _LIVE_STEP < 2 and len(frames) < _INSTANTS:
                     (frames if frame.present.all() else partial).append(frame)
-                if len(frames) == _INSTANTS:
+                settled = told is None or told.sound != "" or heard.is_set()  # whether there is sound is known
+                if len(frames) == _INSTANTS and settled:
                     break
     if not frames and not partial:
         raise InputError(file, f"gave no instant within {seconds:.0f} s; see that its cameras run")
     found = examine(rig.undistortions, frames or list(partial))
     more = [] if told is None else _timed(told, rig.fps)
     if told is not None and told.sound is not None:
-        more.append(weak(told.sound) if told.sound else fact(f"the sound of {rig.definition.sound_name} is heard"))
+        name = rig.definition.sound_name
+        silent = told.sound or ("" if heard.is_set() else f"no sound of {name}: it sent none within {seconds:.0f} s")
+        more.append(weak(silent) if silent else fact(f"the sound of {name} is heard"))
     return replace(found, findings=(*found.findings, *more))
 
 

@@ -120,7 +120,12 @@ def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings
             return
         say(f"recording {seconds:g} s into {record_to}; Ctrl-C ends it earlier")
         record_to.mkdir(parents=True, exist_ok=True)
-        found = record(rig, definition, record_to, seconds)
+
+        def tell(missing: Mapping[str, str]) -> None:
+            if missing:
+                say(f"trouble with {_list(missing)}")
+
+        found = record(rig, definition, record_to, seconds, tell)
     for name, one in found.items():
         slow = f", {one.left_out} left out as this machine was too slow" if one.left_out else ""
         say(f"{record_to / name}.mp4: {one.pictures} pictures{slow}")
@@ -211,8 +216,11 @@ def _show_pages(pages: Mapping[str, str], say: Say) -> None:
 
 
 def _waiting(missing: Mapping[str, str]) -> str:
-    names = [f"{name} ({fault})" if fault else name for name, fault in missing.items()]
-    return f"waiting for {', '.join(names)}" if names else "waiting for all cameras to film at the same time"
+    return f"waiting for {_list(missing)}" if missing else "waiting for all cameras to film at the same time"
+
+
+def _list(missing: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} ({fault})" if fault else name for name, fault in missing.items())
 
 
 def _check_folder(folder: Path, *, overwrite: bool) -> None:

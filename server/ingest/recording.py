@@ -24,6 +24,8 @@ from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import CameraState, Instant
 
 _TELL_SECONDS = 5.0
+_SLOWEST = 0.8  # of the rig's rate, below which a camera's own is told
+_SLOW = "{:.0f} pictures a second, but the rig wants {:g}: give it more light, or write a lower fps into the rig's file"
 _LATE_SECONDS = 1.5  # that pictures may be on their way after the end
 _BUFFERED = 32  # pictures of a camera that may wait to be written
 _TICKS = 90_000  # a second, of the files' times
@@ -36,12 +38,17 @@ class WatchedRig(Rig):
     def __init__(self, definition: RigDefinition) -> None:
         super().__init__(definition, [camera.name for camera in definition.cameras])
         self.writers: dict[str, _Writer] = {}
+        self._heard_later = None if definition.sound is None else definition.sound.camera
 
     def put(self, picture: Picture) -> None:
         """See `Rig.put`."""
         super().put(picture)
         if (writer := self.writers.get(picture.camera)) is not None:
             writer.take(picture)
+
+    def hears(self, camera: str) -> bool:
+        """Whether its sound is wanted once the rig is live: its page asks for the microphone when filming begins."""
+        return camera == self._heard_later
 
 
 @contextmanager
@@ -70,28 +77,42 @@ def first_whole(rig: Rig, seconds: float, waiting: Callable[[Mapping[str, str]],
     Raises:
         InputError: a camera did not come in time.
     """
-    over = threading.Event()
-
-    def tell() -> None:
-        while not over.wait(_TELL_SECONDS):
-            waiting(_missing(rig))
-
-    telling = threading.Thread(target=tell, daemon=True, name="waiting")
     timer = threading.Timer(seconds, rig.stop)
     timer.daemon = True
-    telling.start()
     timer.start()
     try:
-        for instant in rig.instants():
-            if all(picture is not None for picture in instant.pictures):
-                return instant
-        missing = _missing(rig)
+        with _telling(rig, waiting):
+            for instant in rig.instants():
+                if all(picture is not None for picture in instant.pictures):
+                    return instant
     finally:
         timer.cancel()
+    for name, fault in _missing(rig).items():
+        raise InputError(f"camera {name}", fault or f"sent no picture within {seconds:.0f} s")
+    raise InputError("rig", f"had no instant with pictures of all cameras within {seconds:.0f} s")
+
+
+@contextmanager
+def _telling(rig: Rig, tell: Callable[[Mapping[str, str]], None]) -> Iterator[None]:
+    """Call `tell` every few seconds, with the cameras that do not deliver as they should, and why."""
+    over = threading.Event()
+
+    def watch() -> None:
+        before: dict[str, int] = {}
+        while not over.wait(_TELL_SECONDS):
+            now = {name: camera.counts.received for name, camera in rig.statistics().cameras.items()}
+            rates = {name: (count - before[name]) / _TELL_SECONDS for name, count in now.items() if before.get(name)}
+            slow = {name: _SLOW.format(rate, rig.fps) for name, rate in rates.items() if rate < _SLOWEST * rig.fps}
+            before = now
+            tell(slow | _missing(rig))
+
+    telling = threading.Thread(target=watch, daemon=True, name="telling")
+    telling.start()
+    try:
+        yield
+    finally:
         over.set()
         telling.join()
-    name = next(iter(missing), "rig")
-    raise InputError(f"camera {name}", missing.get(name) or f"sent no picture within {seconds:.0f} s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,10 +123,19 @@ class Recorded:
     left_out: int
 
 
-def record(rig: WatchedRig, definition: RigDefinition, folder: Path, seconds: float) -> dict[str, Recorded]:
+def record(
+    rig: WatchedRig,
+    definition: RigDefinition,
+    folder: Path,
+    seconds: float,
+    missing: Callable[[Mapping[str, str]], None] = lambda _: None,
+) -> dict[str, Recorded]:
     """Record for so long, or until the sources end or the user interrupts; the rig stops then.
 
     The files `NAME.mp4` have one clock: a picture's time is when it was taken, from one beginning for all.
+
+    Args:
+        missing: told every few seconds which cameras do not deliver as they should, and why.
 
     Raises:
         InputError: a file cannot be written.
@@ -122,7 +152,8 @@ def record(rig: WatchedRig, definition: RigDefinition, folder: Path, seconds: fl
     timer.start()
     rig.writers = writers
     try:
-        deque(rig.instants(), maxlen=0)
+        with _telling(rig, missing):
+            deque(rig.instants(), maxlen=0)
     except KeyboardInterrupt:
         pass
     finally:

@@ -170,7 +170,7 @@ class Rig:
         """A camera delivers nothing for now, or for good."""
         with self._change:
             last = self._last[camera]
-            if reason != last.fault:
+            if reason != last.fault and not self._stopped:
                 _LOG.warning("camera %s: %s", camera, reason)
             last.fault, last.ended, last.holder = reason, ended, None
             self._queue(self._synchroniser.leave(camera, self._clock_ns()))

@@ -57,6 +57,8 @@ export class PushLink {
     this.heardAt = 0;
     /** @type {number[]} when the pictures without an answer were sent */
     this.underWay = [];
+    /** @type {(() => void)[]} */
+    this.asking = [];
     /** @type {WebSocket | null} */
     this.socket = null;
     this.timer = 0;
@@ -98,6 +100,15 @@ export class PushLink {
     if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(question));
   }
 
+  /** Waits for the answer. @returns {Promise<void>} */
+  askCameras() {
+    return new Promise((resolve) => {
+      if (this.socket?.readyState !== WebSocket.OPEN) return resolve();
+      this.asking.push(resolve);
+      this.ask({ type: "cameras" });
+    });
+  }
+
   close() {
     clearInterval(this.ticker);
     clearTimeout(this.timer);
@@ -119,6 +130,7 @@ export class PushLink {
       this.fps = answer.fps;
       this.cameras = answer.cameras;
       this.ask({ type: "time", sent: performance.now() });
+      for (const resolve of this.asking.splice(0)) resolve();
       this.changed();
     } else {
       this.underWay.shift();
@@ -152,6 +164,7 @@ export class PushLink {
   /** @param {number} code @param {string} reason */
   #closed(code, reason) {
     this.socket = null;
+    for (const resolve of this.asking.splice(0)) resolve();
     this.counts.dropped += this.underWay.length;
     this.underWay = [];
     this.detail = reason || (code === 1006 ? "no connection" : `the server closed with code ${code}`);

@@ -4,10 +4,11 @@ import { PushLink } from "../stream/push.js";
 import { devices, openCamera } from "../view/device.js";
 import { Filming } from "../view/filming.js";
 import { Microphone } from "../view/microphone.js";
-import { button, element } from "./page.js";
+import { button, element, keepInAddress } from "./page.js";
 
 const MAX_REFUSALS = 10; // of pictures one after the other, then filming ends
 const FIGURES_MS = 1000;
+const STALLED_MS = 3000;
 const SLOW = 0.9; // of the rig's rate, below which it is worth a word
 const FULL_SIZE = { width: 1280, height: 720 }; // before the server has said which it wants
 const options = new URLSearchParams(location.search);
@@ -34,7 +35,10 @@ function openLink() {
   }
   return new PushLink(address.href, options.get("token"), () => {
     fillNames();
-    if (filming && link.refusals >= MAX_REFUSALS) stop(`The server refuses the pictures: ${link.refusal}.`);
+    if (filming && link.refusals >= MAX_REFUSALS) {
+      chosen = null; // a free name is offered
+      stop(`The server refuses ${filming.name}: it ${link.refusal}. Press Film again.`);
+    }
     tell();
   });
 }
@@ -61,9 +65,12 @@ async function start() {
     video.srcObject = media;
     video.hidden = false;
     await video.play();
+    await link.askCameras();
+    fillNames();
     filming = new Filming(link, video, media, names.value, options.get("codec") === "jpeg", tell);
-    if (wanted?.sound) listen(media, wanted.name);
+    if (link.cameras.find(({ name }) => name === names.value)?.sound) listen(media, names.value);
     filming.track.onended = () => stop("The camera was taken away by another program.");
+    keepInAddress("camera", (chosen = filming.name));
     await fillDevices(filming.track.getSettings().deviceId ?? "");
   } catch (error) {
     stop(refusalOf(error));
@@ -93,8 +100,8 @@ function refusalOf(error) {
 
 /** @param {string} chosen */
 async function fillDevices(chosen) {
-  const found = await devices();
-  choice.replaceChildren(...found.map(({ id, label }) => new Option(label, id)));
+  const found = await devices(), usual = chosen ? [] : [new Option("rear camera", "")];
+  choice.replaceChildren(...usual, ...found.filter(({ id }) => id).map(({ id, label }) => new Option(label, id)));
   choice.value = chosen;
 }
 
@@ -123,6 +130,7 @@ function state() {
   if (!link.cameras.length) return ["bad", `Stream ${stream} waits for no camera that a phone could be.`];
   if (!filming) return ["good", `Ready to film for stream ${stream}.`];
   if (filming.turned) return ["bad", "Turn the phone: the stream wants the other side up."];
+  if (performance.now() - filming.newest > STALLED_MS) return ["bad", "The camera gives no pictures: keep this page in front."];
   return ["live", `Filming as ${filming.name}.`];
 }
 

@@ -26,6 +26,7 @@ export class Filming {
     this.held = null;
     this.over = false;
     this.turned = false; // against what is wanted
+    this.newest = performance.now(); // picture
     this.filmed = this.dropped = 0;
     this.connection = 0; // of the newest picture
     /** @type {Awaited<ReturnType<typeof createEncoder>> | null} */
@@ -63,6 +64,7 @@ export class Filming {
   /** @param {number} takenMs */
   #picture(takenMs) {
     this.filmed++;
+    this.newest = performance.now();
     const { link, video, canvas } = this, wanted = link.cameras.find(({ name }) => name === this.name);
     if (!wanted || link.state !== "open") return;
     const from = part({ width: video.videoWidth, height: video.videoHeight }, wanted);
@@ -92,7 +94,7 @@ export class Filming {
     this.encoder = null;
     Object.assign(this.canvas, { width, height });
     createEncoder({ width, height }, link.fps, this.jpeg, (takenMs, codec, picture) => {
-      // what was encoded for an earlier connection may refer to pictures that the server does not have any more
+      // of an earlier connection, it may refer to pictures that are lost
       if (!this.over && this.size === size && this.connection === link.connections) link.send(this.name, takenMs, codec, picture);
     }).then((made) => {
       if (this.over || this.size !== size) made.close();

@@ -157,7 +157,9 @@ def read_uncalibrated(path: Path) -> RigDefinition:
             raise InputError(path, f"camera {entry.name} needs width and height, the size of its pictures in pixels")
         lens = np.array([[entry.width, 0, entry.width / 2], [0, entry.width, entry.height / 2], [0, 0, 1]], np.float64)
         cameras.append(Camera(entry.name, lens, np.eye(4), entry.width, entry.height, np.zeros(5)))
-    return RigDefinition(path, tuple(cameras), _addresses(path, file), file.fps, 1, UNCHANGED, file.realtime)
+    addresses = _addresses(path, file)
+    sound = _sound(path, file, addresses)
+    return RigDefinition(path, tuple(cameras), addresses, file.fps, 1, UNCHANGED, file.realtime, sound=sound)
 
 
 def _read(source: Path | dict[str, Any]) -> tuple[Path, _File]:

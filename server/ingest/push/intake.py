@@ -102,7 +102,7 @@ class Intake:
             self._target.claim(message.camera, self)
             self._newest[message.camera] = -1
         if not self._target.holds(message.camera, self):
-            raise InputError(f"camera {message.camera}", "is pushed by another capture node now")
+            raise InputError(f"camera {message.camera}", "is sent by another phone or capture node now")
         if message.sequence <= self._newest[message.camera]:
             return
         found = self._time(message)
@@ -137,7 +137,7 @@ class Intake:
     def close(self) -> None:
         """The capture node has gone."""
         for camera in filter(lambda name: self._target.holds(name, self), self._newest):
-            self._target.gone(camera, "its capture node has disconnected", ended=False)
+            self._target.gone(camera, "its phone or capture node has disconnected", ended=False)
 
     def _time(self, message: PushMessage) -> CaptureTime | None:
         arrival = self._target.now_ns

@@ -221,8 +221,52 @@ def test_who_takes_a_name_that_is_in_use_gets_it_and_the_other_is_told(phone: An
             two.wait_for_function("document.querySelector('#name option')?.textContent === 'phone1 (in use)'")
             two.click("#film")
             says(two, "Filming as phone1")
-            says(one, "The server refuses the pictures: is pushed by another capture node now.")
+            says(one, "The server refuses phone1: it is sent by another phone or capture node now. Press Film again.")
             found.wait(5)
+
+
+def test_a_name_that_was_taken_while_the_browser_asked_for_the_camera_is_left_to_the_other(phone: Any) -> None:
+    with stage(Settings(), rig((WIDTH, HEIGHT), 2)) as found, opened(phone, "about:blank") as slow:
+        slow.add_init_script(
+            "const ask = navigator.mediaDevices.getUserMedia.bind(navigator.mediaDevices);"
+            "const allowed = new Promise((resolve) => (window.allow = resolve));"
+            "navigator.mediaDevices.getUserMedia = (wanted) => allowed.then(() => ask(wanted));"
+        )
+        slow.goto(found.page())
+        says(slow, "Ready to film")
+        slow.click("#film")
+        with opened(phone, found.page()) as quick:
+            says(quick, "Ready to film")
+            quick.click("#film")
+            says(quick, "Filming as phone1")
+            found.wait(1)
+            slow.evaluate("window.allow()")
+            says(slow, "Filming as phone2")
+            assert all(frame.present[0] for frame in found.wait(10))
+
+
+def test_a_page_that_is_loaded_again_is_the_same_camera(phone: Any) -> None:
+    """Its name is kept in its address, so that two phones that sleep do not come back with each other's pose."""
+    with stage(Settings(), rig((WIDTH, HEIGHT), 2)) as found, opened(phone, found.page()) as page:
+        says(page, "Ready to film")
+        page.select_option("#name", "phone2")
+        page.click("#film")
+        says(page, "Filming as phone2")
+        page.reload()
+        says(page, "Ready to film")
+        assert page.eval_on_selector("#device", "(list) => list.selectedOptions[0]?.text") == "rear camera"
+        page.click("#film")
+        says(page, "Filming as phone2")
+
+
+def test_a_camera_that_gives_nothing_any_more_is_told_of(phone: Any) -> None:
+    """As of a phone whose screen is locked."""
+    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(phone, found.page()) as page:
+        says(page, "Ready to film")
+        page.click("#film")
+        found.wait(3)
+        page.evaluate("document.getElementById('picture').srcObject.getTracks()[0].stop()")
+        says(page, "The camera gives no pictures")
 
 
 @pytest.mark.parametrize(
@@ -306,7 +350,7 @@ def test_a_phone_is_recorded_over_https_before_anything_is_calibrated(phone: Any
     still = tmp_path / "still.mp4"
     write_video(still, [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * (60 * FPS), fps=FPS)
     file, said = tmp_path / "rig.json", list[str]()
-    find([str(still)], file, 1, (WIDTH, HEIGHT), FPS, said.append, overwrite=False)
+    find([str(still)], file, 1, (WIDTH, HEIGHT), FPS, said.append, sound="phone1", overwrite=False)
     settings = load_settings(tmp_path / "rig.toml").model_copy(update={"host": "127.0.0.1", "port": 0})
     recording = threading.Thread(
         target=lambda: watch(file, tmp_path / "walk", 3.0, settings, said.append, overwrite=False), daemon=True
@@ -320,6 +364,7 @@ def test_a_phone_is_recorded_over_https_before_anything_is_calibrated(phone: Any
         says(page, "Ready to film")
         page.click("#film")
         says(page, "Filming as phone1")
+        page.wait_for_function("document.querySelector('#figures').textContent.includes('Opus')")  # wanted once live
         recording.join(120)
         assert not recording.is_alive()
         says(page, "Trying again")

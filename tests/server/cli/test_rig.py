@@ -23,6 +23,7 @@ from streamlod.core.errors import InputError
 from streamlod.server.auth.gate import hash_token
 from streamlod.server.cli.check import check
 from streamlod.server.cli.rig import find, watch
+from streamlod.server.ingest import recording
 from streamlod.server.ingest.cameras.definition import read_definition
 from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
 from streamlod.server.settings import Settings, load_settings
@@ -208,6 +209,18 @@ def test_phones_are_recorded_on_one_clock(tmp_path: Path) -> None:
     assert abs(starts[1] - starts[0] - SKEW_NS / 1e9) < 1e-4
 
 
+def test_a_camera_slower_than_the_rig_is_named_while_it_is_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two such cameras might never film at one instant, and nobody would know why."""
+    monkeypatch.setattr(recording, "_TELL_SECONDS", 0.8)
+    write_video(tmp_path / "slow.mp4", [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * 50, fps=5)
+    rig, said = write_definition(tmp_path, ["slow.mp4"]), list[str]()
+    watch(rig, tmp_path / "walk", 3.0, Settings(), said.append, overwrite=False)
+    slow = r"trouble with cam0 \([345] pictures a second, but the rig wants "
+    assert any(re.match(slow, line) for line in said), said
+
+
 def write_still(file: Path) -> Path:
     """A camera that is no phone: a file of a minute."""
     write_video(file, [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * (60 * FPS), fps=FPS)
@@ -234,3 +247,4 @@ def test_phones_are_checked_while_they_film(tmp_path: Path) -> None:
     assert re.search(r"^cam0 ", text, re.MULTILINE)
     assert re.search(r"^cam1 ", text, re.MULTILINE)
     assert "gave no picture" not in text
+    assert "no sound of cam0: it sends none" in text
