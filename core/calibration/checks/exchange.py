@@ -78,7 +78,8 @@ class _Search:
         if len(touched) < _FEWEST:
             return False
         gain = self.miss(tuple(range(len(order)))) - self.miss(order)
-        return (gain > np.log(_TIMES) and self.miss(order) < np.log(OFF)) or not list(suspects(agreed, len(cameras)))
+        explains = gain > np.log(_TIMES) and self.miss(order) < np.log(2 * OFF)
+        return bool(explains) or not list(suspects(agreed, len(cameras)))
 
     def _moved(self, pair: PairMatches, order: Order) -> PairMatches:
         """The matches where the lenses of these cameras show them."""
