@@ -176,7 +176,7 @@ def test_the_later_of_two_nodes_with_one_camera_counts(live: Frames) -> None:
     early.accept(message(0, "cam0", now))
     early.accept(message(0, "cam1", now))
     late.accept(message(1, "cam0", now + 30_000_000))
-    with pytest.raises(InputError, match="another capture node"):
+    with pytest.raises(InputError, match="another phone or capture node"):
         early.accept(message(1, "cam0", now + 30_000_000))
     early.accept(message(1, "cam1", now + 30_000_000))
     early.close()
