@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import struct
+import threading
 from collections.abc import Iterator
 from typing import Protocol
 
@@ -151,8 +152,11 @@ class Reader(SourceThread):
     def _deliver(self, frame: av.VideoFrame, found: CaptureTime) -> None:
         self._check_size(*upright_size(frame))
 
+        alone = threading.Lock()  # FFmpeg's conversion, which a frame holds, hangs when two threads enter it
+
         def load() -> UInt8:
-            return upright(frame)
+            with alone:
+                return upright(frame)
 
         self._sequence += 1
         picture = Picture(self.camera, found.capture_ns, found.source, found.error_ns, self._sequence, self._size, load)

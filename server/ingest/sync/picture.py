@@ -20,8 +20,8 @@ class Picture:
         error_ns: how far the time may be off.
         sequence: counts the camera's pictures as they came.
         size: (width, height) in pixels.
-        load: decodes the [H,W,3] uint8 RGB pixels; called only for pictures that are used; raises InputError for one
-            that does not decode.
+        load: decodes the [H,W,3] uint8 RGB pixels; called only for pictures that are used, by any thread; raises
+            InputError for one that does not decode.
     """
 
     camera: str

@@ -3,13 +3,31 @@
 from __future__ import annotations
 
 import socket
+import threading
 import time
+from pathlib import Path
 
 from streamlod.server.ingest.cameras.address import parse_address
 from streamlod.server.ingest.cameras.reader import Reader
+from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.timeline import Timeline
 from tests.attack.test_http_cameras import Faults
+from tests.core.data.writers import write_video
+from tests.server.ingest.rig import HEIGHT, WIDTH, burnt
 from tests.server.ports import free_ports
+
+LOADS = 200  # of a picture: without a lock every run hung or crashed
+
+
+class Kept(Faults):
+    """Keeps all pictures."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.pictures: list[Picture] = []
+
+    def put(self, picture: Picture) -> None:
+        self.pictures.append(picture)
 
 
 def test_a_reader_that_listens_says_so_as_soon_as_cameras_may_connect() -> None:
@@ -32,3 +50,28 @@ def test_a_reader_that_listens_says_so_as_soon_as_cameras_may_connect() -> None:
             time.sleep(0.02)
     reader.stop()
     reader.join(60)
+
+
+def test_several_threads_may_load_one_picture(tmp_path: Path) -> None:
+    """FFmpeg's conversion of one frame by two threads at once never comes back."""
+    write_video(tmp_path / "a.mp4", [burnt(number) for number in range(4)])
+    sink = Kept()
+    address = parse_address(f"file://{tmp_path}/a.mp4")
+    reader = Reader("cam0", address, (WIDTH, HEIGHT), 10.0, sink, Timeline(), anchor_ns=0, paced=False)
+    reader.start()
+    reader.join(60)
+    together = threading.Barrier(2)
+
+    def load() -> None:
+        for picture in sink.pictures:
+            for _ in range(LOADS):
+                together.wait(60)
+                picture.load()
+
+    threads = [threading.Thread(target=load, daemon=True) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert len(sink.pictures) == 4
+    assert not any(thread.is_alive() for thread in threads)
