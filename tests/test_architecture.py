@@ -34,7 +34,9 @@ LAYERS = {
         "protocol doctor", "ingest", "pipeline", "settings", "auth worker http", "stream", "viewer",
         "api", "edge", "service", "cli",
     ),
-    "server.ingest": ("sync", "sound", "cameras", "push finding", "statistics ahead knocks", "rig", "live recording"),
+    "server.ingest": (
+        "sync", "sound", "cameras", "push finding", "statistics ahead knocks walk", "rig", "live recording",
+    ),
     "client": (
         "recording events viewpoints recorder rest_answers", "rest playback", "connection film_sound",
         "inspection viewing", "evaluation", "commands", "remote",

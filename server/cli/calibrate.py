@@ -29,7 +29,7 @@ def print_board(path: Path, board: str | None, square_mm: float | None) -> str:
     from streamlod.core.calibration.board.printing import PAPERS, fitted_to
     from streamlod.core.calibration.board.printing import print_board as write
 
-    described = _board(board, square_mm, path.parent, beside=False)
+    described = board_of(board, square_mm, path.parent, beside=False)
     if square_mm is None and path.stem.upper() in PAPERS and not _is_file(board):
         described = fitted_to(described, path.stem.upper())
     paper = write(described, path)
@@ -51,7 +51,7 @@ def calibrate(
     from streamlod.core.calibration.solve import calibrate as solve
     from streamlod.core.calibration.walk import open_walk
 
-    described, folder = _board(board, square_mm, data), data if out is None else out
+    described, folder = board_of(board, square_mm, data), data if out is None else out
     footage = open_walk(data)
     known = {} if lenses is None else _known_lenses(lenses, footage)
     check_folder(folder, overwrite=overwrite)
@@ -78,7 +78,7 @@ def _is_file(board: str | None) -> bool:
     return board is not None and board.endswith(".toml")
 
 
-def _board(board: str | None, square_mm: float | None, folder: Path, *, beside: bool = True) -> Board:
+def board_of(board: str | None, square_mm: float | None, folder: Path, *, beside: bool = True) -> Board:
     """The board that the options describe, or charuco.toml with the videos or beside their folder, or the usual one."""
     found = Board()
     if board is not None and _is_file(board):

@@ -6,6 +6,7 @@ import io
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from streamlod.core.errors import BackendUnavailable, InputError
 from streamlod.core.files import write_bytes, write_text
 from streamlod.core.masking import masked
+from streamlod.server.cli.calibrate import board_of
 from streamlod.server.ingest.cameras.address import Address, parse_address
 from streamlod.server.ingest.cameras.sound_source import choose_sound
 
@@ -104,6 +106,7 @@ def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings
     from streamlod.server.ingest.cameras.definition import read_uncalibrated
     from streamlod.server.ingest.finding.sheet import contact_sheet
     from streamlod.server.ingest.recording import first_whole, record, watching
+    from streamlod.server.ingest.walk import WalkWatch
 
     definition = read_uncalibrated(file)
     if record_to is not None:
@@ -125,7 +128,10 @@ def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings
             if missing:
                 say(f"trouble with {_list(missing)}")
 
-        found = record(rig, definition, record_to, seconds, tell)
+        pool = stack.enter_context(ThreadPoolExecutor(1, "walk"))
+        walk = WalkWatch(names, board_of(None, None, record_to), say, pool)
+        found = record(rig, definition, record_to, seconds, tell, walk.look)
+        walk.end()
     for name, one in found.items():
         slow = f", {one.left_out} left out as this machine was too slow" if one.left_out else ""
         say(f"{record_to / name}.mp4: {one.pictures} pictures{slow}")

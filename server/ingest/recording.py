@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -129,6 +128,7 @@ def record(
     folder: Path,
     seconds: float,
     missing: Callable[[Mapping[str, str]], None] = lambda _: None,
+    look: Callable[[Instant], object] = lambda _: None,
 ) -> dict[str, Recorded]:
     """Record for so long, or until the sources end or the user interrupts; the rig stops then.
 
@@ -136,6 +136,7 @@ def record(
 
     Args:
         missing: told every few seconds which cameras do not deliver as they should, and why.
+        look: given each instant; must not wait.
 
     Raises:
         InputError: a file cannot be written.
@@ -153,7 +154,8 @@ def record(
     rig.writers = writers
     try:
         with _telling(rig, missing):
-            deque(rig.instants(), maxlen=0)
+            for instant in rig.instants():
+                look(instant)
     except KeyboardInterrupt:
         pass
     finally:

@@ -217,6 +217,7 @@ def test_a_camera_slower_than_the_rig_is_named_while_it_is_recorded(
     write_video(tmp_path / "slow.mp4", [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * 50, fps=5)
     rig, said = write_definition(tmp_path, ["slow.mp4"]), list[str]()
     watch(rig, tmp_path / "walk", 3.0, Settings(), said.append, overwrite=False)
+    assert said[-3] == "the board: no camera has seen it", said
     slow = r"trouble with cam0 \([345] pictures a second, but the rig wants "
     assert any(re.match(slow, line) for line in said), said
 

@@ -1,0 +1,70 @@
+"""Coverage of a board walk: what each camera has seen of the board so far, and what it still needs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+
+from streamlod.core.arrays import Float64, Int64
+from streamlod.core.calibration.track import MIN_CORNERS
+from streamlod.core.data.names import listed
+
+_QUARTERS = ("upper left", "upper right", "lower left", "lower right")
+_ENOUGH = 4  # instants in which the board was in a quarter of a picture
+_TOGETHER = 6  # instants in which two cameras saw it, before their poses hold together
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WalkCoverage:
+    """What C cameras have seen of the board.
+
+    Attributes:
+        cameras: names.
+        quarters: [C,4] instants in which some of the board was in a quarter of the picture.
+        together: [C,C] instants in which both cameras saw the board; on the diagonal, those in which one did.
+    """
+
+    cameras: tuple[str, ...]
+    quarters: Int64
+    together: Int64
+
+    @classmethod
+    def none(cls, cameras: Sequence[str]) -> WalkCoverage:
+        """Nothing seen yet."""
+        return cls(tuple(cameras), np.zeros((len(cameras), 4), np.int64), np.zeros((len(cameras),) * 2, np.int64))
+
+    def after(self, corners: Sequence[Float64]) -> WalkCoverage:
+        """With what the cameras see at one more instant.
+
+        Args:
+            corners: [J,2] for each camera, from (0, 0) to (1, 1) across its picture; NaN where not seen.
+        """
+        known = [each[np.isfinite(each).all(axis=1)] for each in corners]
+        seen = np.array([len(each) >= MIN_CORNERS for each in known], np.int64)
+        quarters = self.quarters.copy()
+        for camera in np.flatnonzero(seen):
+            right, low = (known[camera] >= 0.5).T.astype(np.int64)
+            quarters[camera, np.unique(2 * low + right)] += 1
+        return replace(self, quarters=quarters, together=self.together + np.outer(seen, seen))
+
+    @property
+    def begun(self) -> bool:
+        """Whether any camera has seen the board."""
+        return bool(self.together.any())
+
+    def needs(self) -> Iterator[str]:
+        """What is to be shown to whom; nothing once all have seen enough."""
+        for name, times, quarters in zip(self.cameras, self.together.diagonal(), self.quarters, strict=True):
+            lacking = [quarter for quarter, count in zip(_QUARTERS, quarters, strict=True) if count < _ENOUGH]
+            if not times:
+                yield f"{name} has not seen it"
+            elif lacking:
+                yield f"{name} needs it in the {listed(lacking, 4)}"
+        groups = connected_components(self.together >= _TOGETHER, directed=False)[1]
+        if len(self.cameras) > 1 and groups.any():
+            seldom = np.bincount(groups, self.together.diagonal()).argmin()
+            alone = listed([self.cameras[number] for number in np.flatnonzero(groups == seldom)], 4)
+            yield f"{alone} and another camera need it at one time"

@@ -1,0 +1,87 @@
+"""Watches a board walk while it is recorded, and tells what the cameras still need to see of the board."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, Future, wait
+
+import cv2
+import numpy as np
+
+from streamlod.core.arrays import Float64
+from streamlod.core.calibration.board.description import Board
+from streamlod.core.calibration.board.detect import Detector
+from streamlod.core.calibration.coverage import WalkCoverage
+from streamlod.core.errors import InputError
+from streamlod.server.ingest.sync.picture import Picture
+from streamlod.server.ingest.sync.synchroniser import Instant
+
+_LOOK_SECONDS = 0.4  # between looks, in which a person with a board moves on
+_TELL_SECONDS = 8.0
+_WIDTH = 640  # pixels of the longer side, or a little more, at which pictures are searched
+
+
+class WalkWatch:
+    """Looks for the board at some instants.
+
+    Args:
+        cameras: names, in the order of an instant's pictures.
+        tell: told what is needed, whenever that has changed.
+        pool: on whose thread it looks.
+        clock: seconds.
+    """
+
+    def __init__(
+        self,
+        cameras: Sequence[str],
+        board: Board,
+        tell: Callable[[str], object],
+        pool: Executor,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._detect, self._tell, self._pool, self._clock = Detector(board), tell, pool, clock
+        self._coverage, self._told = WalkCoverage.none(cameras), ""
+        self._looking: Future[None] | None = None
+        self._look_at, self._tell_at = -np.inf, clock() + _TELL_SECONDS
+
+    def look(self, instant: Instant) -> None:
+        """Look at an instant if it is time for it; never waits."""
+        now = self._clock()
+        if now < self._look_at or (self._looking is not None and not self._looking.done()):
+            return
+        self._look_at = now + _LOOK_SECONDS
+        self._looking = self._pool.submit(self._take, instant)
+
+    def end(self) -> None:
+        """Wait for the last look, and tell what is missing in the end."""
+        if self._looking is not None:
+            wait([self._looking])
+        self._say()
+
+    def _take(self, instant: Instant) -> None:
+        self._coverage = self._coverage.after([self._corners(picture) for picture in instant.pictures])
+        if self._clock() >= self._tell_at:
+            self._tell_at = self._clock() + _TELL_SECONDS
+            self._say()
+
+    def _say(self) -> None:
+        needs = "; ".join(self._coverage.needs()) or "all cameras have seen enough of it"
+        text = f"the board: {needs}" if self._coverage.begun else "the board: no camera has seen it"
+        if text != self._told:
+            self._told = text
+            self._tell(text)
+
+    def _corners(self, picture: Picture | None) -> Float64:
+        """[J,2] corners from (0, 0) to (1, 1), none where there is no picture."""
+        if picture is None:
+            return np.zeros((0, 2))
+        try:
+            pixels = picture.load()
+        except InputError:  # damaged
+            return np.zeros((0, 2))
+        height, width = pixels.shape[:2]
+        step = max(1, max(width, height) // _WIDTH)
+        small = cv2.resize(pixels, (width // step, height // step), interpolation=cv2.INTER_AREA)
+        found = self._detect(np.asarray(small, np.uint8)).corners
+        return np.asarray(found / [width // step, height // step], np.float64)
