@@ -37,7 +37,7 @@ class WalkCoverage:
         return cls(tuple(cameras), np.zeros((len(cameras), 4), np.int64), np.zeros((len(cameras),) * 2, np.int64))
 
     def after(self, corners: Sequence[Float64]) -> WalkCoverage:
-        """With what the cameras see at one more instant.
+        """The coverage with one more instant.
 
         Args:
             corners: [J,2] for each camera, from (0, 0) to (1, 1) across its picture; NaN where not seen.
