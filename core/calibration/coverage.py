@@ -19,7 +19,7 @@ _TOGETHER = 6  # instants in which two cameras saw it, before their poses hold t
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WalkCoverage:
-    """What C cameras have seen of the board.
+    """The coverage of C cameras by the board.
 
     Attributes:
         cameras: names.
@@ -56,7 +56,7 @@ class WalkCoverage:
         return bool(self.together.any())
 
     def needs(self) -> Iterator[str]:
-        """What is to be shown to whom; nothing once all have seen enough."""
+        """Sentences about what is to be shown to whom; none once all have seen enough."""
         for name, times, quarters in zip(self.cameras, self.together.diagonal(), self.quarters, strict=True):
             lacking = [quarter for quarter, count in zip(_QUARTERS, quarters, strict=True) if count < _ENOUGH]
             if not times:
