@@ -62,7 +62,8 @@ class WalkCoverage:
             if not times:
                 yield f"{name} has not seen it"
             elif lacking:
-                yield f"{name} needs it in the {listed(lacking, 4)}"
+                where = "everywhere" if len(lacking) == len(_QUARTERS) else f"in the {listed(lacking, 4)}"
+                yield f"{name} needs it {where}"
         groups = connected_components(self.together >= _TOGETHER, directed=False)[1]
         if len(self.cameras) > 1 and groups.any():
             seldom = np.bincount(groups, self.together.diagonal()).argmin()

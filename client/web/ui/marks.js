@@ -48,10 +48,26 @@ export class Marks {
     this.list.splice(this.list.indexOf(mark), 1);
   }
 
-  /** @param {Mark} mark */
+  /** Ask for a name beside the mark: a window of its own may not open inside other pages. @param {Mark} mark */
   #name(mark) {
-    mark.name = (prompt("Name of this mark", mark.name) ?? mark.name).slice(0, 60);
-    this.place();
+    const field = document.createElement("input");
+    field.maxLength = 60;
+    field.value = mark.name;
+    field.setAttribute("aria-label", "Name of this mark");
+    field.style.setProperty("--at", mark.button.style.getPropertyValue("--at"));
+    field.onkeydown = (event) => {
+      if (event.key === "Escape") field.value = mark.name;
+      if (event.key === "Enter" || event.key === "Escape") mark.button.focus();
+      event.stopPropagation();
+    };
+    field.onblur = () => {
+      mark.name = field.value;
+      field.remove();
+      this.place();
+    };
+    element("t-marks").append(field);
+    field.focus();
+    field.select();
   }
 
   /** @param {KeyboardEvent} event @param {Mark} mark */

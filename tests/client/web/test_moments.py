@@ -80,6 +80,26 @@ def test_the_pointer_shows_the_moment_and_marks_lead_back(page: Any, url: str) -
     assert page.locator("#t-marks button[title='Mark at 0:00.1']").count() == 0, "marked again it is unmarked"
 
 
+def test_marks_are_named_on_the_bar(page: Any, url: str) -> None:
+    """Keys that are typed into a name do nothing else, and Escape keeps the name before."""
+    page.goto(f"{url}/?src=files/clip.slod&quality=high")
+    shows(page, f"s.version === {FRAMES - 1} && s.phase === 'ended'")
+    paused_at(page, 12)
+    page.keyboard.press("m")
+    (mark,) = page.locator("#t-marks button").all()
+    mark.press("F2")
+    page.keyboard.type("goal m")
+    page.keyboard.press("Enter")
+    named = page.locator("#t-marks button[title^='goal m, ']")
+    named.wait_for(**WAIT)
+    named.press("F2")
+    page.keyboard.type("nothing")
+    page.keyboard.press("Escape")
+    named.wait_for(**WAIT)
+    assert page.locator("#t-marks input").count() == 0
+    assert page.locator("#t-marks button").count() == 1
+
+
 def test_a_cameras_own_picture_beside_the_view(page: Any, clip: Clip) -> None:
     """Where the server shows pictures of its cameras, a camera's is beside the view from there, until it is closed."""
     page.set_viewport_size({"width": 900, "height": 506})

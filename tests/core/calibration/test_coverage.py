@@ -33,6 +33,10 @@ def test_who_has_not_seen_the_board_and_who_lacks_which_quarter_is_named() -> No
     assert "b has not seen it" in needs
 
 
+def test_a_camera_that_has_seen_little_needs_it_everywhere() -> None:
+    assert list(shown(WalkCoverage.none(["a"]), board(0.5, 0.5), times=1).needs()) == ["a needs it everywhere"]
+
+
 def test_a_board_across_the_middle_counts_for_all_quarters_but_few_corners_for_none() -> None:
     middle = shown(WalkCoverage.none(["a"]), board(0.5, 0.5))
     assert list(middle.needs()) == []
