@@ -27,6 +27,7 @@ def known_lenses(truth: Rig) -> dict[str, Float64]:
     return dict(zip(truth.names, truth.lenses, strict=True))
 
 
+@pytest.mark.long
 def test_a_known_lens_of_another_camera_is_refused() -> None:
     truth = rig()
     tele = truth.lenses.copy()
@@ -127,6 +128,7 @@ def test_a_camera_that_saw_the_board_too_rarely_is_named() -> None:
         calibrate([*tracks[:2], half(tracks[2], 0.5, 0.53), tracks[3]], BOARD)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("when", ["last", pytest.param("first", marks=pytest.mark.long)])
 def test_a_camera_that_was_knocked_during_the_walk_is_named(when: str) -> None:
     """By four degrees, for so short a time that what it saw then would pass for a few outliers."""

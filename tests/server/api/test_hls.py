@@ -112,6 +112,7 @@ def test_a_live_stream_is_followed_from_the_newest_keyframe_to_its_end(growing: 
     assert last.first == playlists[0].first > 10**12
 
 
+@pytest.mark.long
 def test_parts_of_a_group_hold_what_its_segment_holds(growing: tuple[Running, Clip], tmp_path: Path) -> None:
     server, clip = growing
     server.wait(lambda stream: stream["state"] == "ended")

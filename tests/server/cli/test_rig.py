@@ -209,6 +209,7 @@ def test_phones_are_recorded_on_one_clock(tmp_path: Path) -> None:
     assert abs(starts[1] - starts[0] - SKEW_NS / 1e9) < 1e-4
 
 
+@pytest.mark.long
 def test_a_camera_slower_than_the_rig_is_named_while_it_is_recorded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
