@@ -18,7 +18,6 @@ from streamlod.core.data.lens import Undistortion
 
 _FEWEST = 2  # agreements that speak for it; a single one holds by chance
 _TRIED = 3  # exchanges, the most likely ones
-_TIMES = 8.0  # that misses are smaller by an order that explains nearly all; matches by a wrong lens hold wrong ones
 _LEAST, _MOST = 1.0, 300.0  # pixels at a width of 1000, beyond which misses tell no more
 
 Order = tuple[int, ...]  # for each picture, the number of the camera that took it
@@ -75,11 +74,7 @@ class _Search:
         agreed = agreements(moved, cameras)
         others = {number for number, each in enumerate(order) if number != each}
         touched = [each for each in agreed if not others.isdisjoint(each.cameras)]
-        if len(touched) < _FEWEST:
-            return False
-        gain = self.miss(tuple(range(len(order)))) - self.miss(order)
-        explains = gain > np.log(_TIMES) and self.miss(order) < np.log(2 * OFF)
-        return bool(explains) or not list(suspects(agreed, len(cameras)))
+        return len(touched) >= _FEWEST and not list(suspects(agreed, len(cameras)))
 
     def _moved(self, pair: PairMatches, order: Order) -> PairMatches:
         """The matches where the lenses of these cameras show them."""
