@@ -28,7 +28,7 @@ from tests.client.web.watching import WAIT
 from tests.core.data.writers import write_video
 from tests.opus import read_sound
 from tests.server.conftest import running
-from tests.server.ingest.push.stage import FPS, HEIGHT, WIDTH, rig, stage
+from tests.server.ingest.push.stage import FPS, HEIGHT, WIDTH, Stage, rig, stage
 
 pytestmark = pytest.mark.browser
 
@@ -69,6 +69,16 @@ def figure(page: Any, name: str) -> str:
     """A figure that the page shows."""
     names = page.eval_on_selector_all("#figures dt", "(all) => all.map((e) => e.textContent)")
     return str(page.eval_on_selector_all("#figures dd", "(all) => all.map((e) => e.textContent)")[names.index(name)])
+
+
+@contextmanager
+def filmed(phone: Any, instants: int) -> Iterator[tuple[Stage, Any]]:
+    """A page that films for a stream, which has got so many instants."""
+    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(phone, found.page()) as page:
+        says(page, "Ready to film")
+        page.click("#film")
+        found.wait(instants)
+        yield found, page
 
 
 @pytest.mark.parametrize("codec", ["h264", "jpeg"])
@@ -177,10 +187,7 @@ def test_the_page_says_how_it_films_and_what_it_cannot_hold(phone: Any) -> None:
 
 def test_a_slow_server_gets_newer_pictures_rather_than_older_ones(phone: Any) -> None:
     """While nothing is taken, pictures are left out; later ones come as quickly as before."""
-    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(phone, found.page()) as page:
-        says(page, "Ready to film")
-        page.click("#film")
-        found.wait(5)
+    with filmed(phone, 5) as (found, page):
         page.wait_for_selector("#figures dd")
         before = int(figure(page, "Left out"))
         assert found.dataset.rig is not None
@@ -199,10 +206,7 @@ def test_a_slow_server_gets_newer_pictures_rather_than_older_ones(phone: Any) ->
 
 def test_filming_goes_on_after_the_stream_was_away(phone: Any) -> None:
     """The connection is made anew, and H.264 begins with a picture that needs none before it."""
-    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(phone, found.page()) as page:
-        says(page, "Ready to film")
-        page.click("#film")
-        found.wait(5)
+    with filmed(phone, 5) as (found, page):
         found.dataset.close()
         says(page, "Trying again: the stream takes no pictures at present")
         with found.filming():
@@ -261,10 +265,7 @@ def test_a_page_that_is_loaded_again_is_the_same_camera(phone: Any) -> None:
 
 def test_a_camera_that_gives_nothing_any_more_is_told_of(phone: Any) -> None:
     """As of a phone whose screen is locked."""
-    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(phone, found.page()) as page:
-        says(page, "Ready to film")
-        page.click("#film")
-        found.wait(3)
+    with filmed(phone, 3) as (_, page):
         page.evaluate("document.getElementById('picture').srcObject.getTracks()[0].stop()")
         says(page, "The camera gives no pictures")
 
