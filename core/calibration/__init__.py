@@ -4,7 +4,7 @@
     walk.py, detect.py        pictures of a walk; corners of the board in them
     track.py                  the corners that one camera saw, as curves in time
     first_lens.py, sync.py    first lenses by camera, first time offsets by pair of cameras
-    coverage.py               what each camera has seen of the board so far, while somebody walks
+    walk_coverage.py          what each camera has seen of the board so far, while somebody walks
     known_lens.py             lenses known before, against what the walk shows
     instants.py, graph.py     the instants used, and first poses, chained through shared views
     projection.py, adjust.py  bundle adjustment: lenses, poses, offsets and boards together

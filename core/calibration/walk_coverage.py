@@ -12,7 +12,7 @@ from streamlod.core.arrays import Float64, Int64
 from streamlod.core.calibration.track import MIN_CORNERS
 from streamlod.core.data.names import listed
 
-_QUARTERS = ("upper left", "upper right", "lower left", "lower right")
+QUARTERS = ("upper left", "upper right", "lower left", "lower right")  # of a picture
 _ENOUGH = 4  # instants in which the board was in a quarter of a picture
 _TOGETHER = 6  # instants in which two cameras saw it, before their poses hold together
 
@@ -58,11 +58,11 @@ class WalkCoverage:
     def needs(self) -> Iterator[str]:
         """Sentences about what is to be shown to whom; none once all have seen enough."""
         for name, times, quarters in zip(self.cameras, self.together.diagonal(), self.quarters, strict=True):
-            lacking = [quarter for quarter, count in zip(_QUARTERS, quarters, strict=True) if count < _ENOUGH]
+            lacking = [quarter for quarter, count in zip(QUARTERS, quarters, strict=True) if count < _ENOUGH]
             if not times:
                 yield f"{name} has not seen it"
             elif lacking:
-                where = "everywhere" if len(lacking) == len(_QUARTERS) else f"in the {listed(lacking, 4)}"
+                where = "everywhere" if len(lacking) == len(QUARTERS) else f"in the {listed(lacking, 4)}"
                 yield f"{name} needs it {where}"
         groups = connected_components(self.together >= _TOGETHER, directed=False)[1]
         if len(self.cameras) > 1 and groups.any():

@@ -111,6 +111,7 @@ def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings
     definition = read_uncalibrated(file)
     if record_to is not None:
         _check_folder(record_to, overwrite=overwrite)
+    board = board_of(None, None, record_to or file.parent)  # before anything is waited for, as its file may be damaged
     names = [camera.name for camera in definition.cameras]
     with ExitStack() as stack:
         rig = stack.enter_context(watching(definition, phones_socket(file, definition, settings, stack, say)))
@@ -129,7 +130,7 @@ def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings
                 say(f"trouble with {_list(missing)}")
 
         pool = stack.enter_context(ThreadPoolExecutor(1, "walk"))
-        walk = WalkWatch(names, board_of(None, None, record_to), say, pool)
+        walk = WalkWatch(names, board, say, pool)
         found = record(rig, definition, record_to, seconds, tell, walk.look)
         walk.end()
     for name, one in found.items():

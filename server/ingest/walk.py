@@ -12,7 +12,7 @@ import numpy as np
 from streamlod.core.arrays import Float64
 from streamlod.core.calibration.board.description import Board
 from streamlod.core.calibration.board.detect import Detector
-from streamlod.core.calibration.coverage import WalkCoverage
+from streamlod.core.calibration.walk_coverage import WalkCoverage
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import Instant
@@ -40,6 +40,7 @@ class WalkWatch:
         pool: Executor,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        self._unseen = f"no camera has seen it, which is to have {board.described()}"
         self._detect, self._tell, self._pool, self._clock = Detector(board), tell, pool, clock
         self._coverage, self._told = WalkCoverage.none(cameras), ""
         self._looking: Future[None] | None = None
@@ -67,7 +68,7 @@ class WalkWatch:
 
     def _say(self) -> None:
         needs = "; ".join(self._coverage.needs()) or "all cameras have seen enough of it"
-        text = f"the board: {needs}" if self._coverage.begun else "the board: no camera has seen it"
+        text = f"the board: {needs if self._coverage.begun else self._unseen}"
         if text != self._told:
             self._told = text
             self._tell(text)

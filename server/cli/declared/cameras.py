@@ -60,6 +60,7 @@ def rig(
 ) -> None:
     """Find cameras and write rig.json, with a picture of what each sees; or watch and record those of a rig.json.
 
+    While it records, it tells what the cameras still need to see of a calibration board that somebody walks about with.
     Phones are shown a QR code of the page /capture, on which they film. Host, port and rights are those of serve.
     """
     from streamlod.server.cli.commands import picture_size

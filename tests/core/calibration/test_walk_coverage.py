@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from streamlod.core.arrays import Float64
-from streamlod.core.calibration.coverage import WalkCoverage
+from streamlod.core.calibration.walk_coverage import WalkCoverage
 
 UNSEEN = np.full((24, 2), np.nan)
 

@@ -218,9 +218,16 @@ def test_a_camera_slower_than_the_rig_is_named_while_it_is_recorded(
     write_video(tmp_path / "slow.mp4", [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * 50, fps=5)
     rig, said = write_definition(tmp_path, ["slow.mp4"]), list[str]()
     watch(rig, tmp_path / "walk", 3.0, Settings(), said.append, overwrite=False)
-    assert said[-3] == "the board: no camera has seen it", said
+    assert said[-3] == "the board: no camera has seen it, which is to have 7x5 squares of 55 mm", said
     slow = r"trouble with cam0 \([345] pictures a second, but the rig wants "
     assert any(re.match(slow, line) for line in said), said
+
+
+def test_a_damaged_description_of_the_board_is_told_before_anything_is_waited_for(tmp_path: Path) -> None:
+    (tmp_path / "charuco.toml").write_text("columns = ")
+    with pytest.raises(InputError, match=r"charuco\.toml"):
+        watch(write_definition(tmp_path, ["push:"]), tmp_path / "walk", 3.0, Settings(), print, overwrite=False)
+    assert not (tmp_path / "walk").exists()
 
 
 def write_still(file: Path) -> Path:

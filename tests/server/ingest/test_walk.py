@@ -69,7 +69,7 @@ def test_the_part_of_a_picture_that_never_had_the_board_is_told() -> None:
 
 
 def test_missing_and_damaged_pictures_show_nothing() -> None:
-    assert told(None, damaged, looks=10) == ["the board: no camera has seen it"]
+    assert told(None, damaged, looks=10) == ["the board: no camera has seen it, which is to have 7x5 squares of 55 mm"]
 
 
 def test_enough_is_told() -> None:
