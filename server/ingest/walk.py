@@ -1,7 +1,11 @@
-"""Watches a board walk while it is recorded, and tells what the cameras still need to see of the board."""
+"""Watches a board walk while it is recorded, and tells what the cameras still need to see of the board.
+
+A look that breaks ends the watch, not the recording.
+"""
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future, wait
@@ -17,6 +21,7 @@ from streamlod.core.errors import InputError
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import Instant
 
+_log = logging.getLogger(__name__)
 _LOOK_SECONDS = 0.4  # between looks, in which a person with a board moves on
 _TELL_SECONDS = 8.0
 _WIDTH = 640  # pixels of the longer side, or a little more, at which pictures are searched
@@ -44,6 +49,7 @@ class WalkWatch:
         self._detect, self._tell, self._pool, self._clock = Detector(board), tell, pool, clock
         self._coverage, self._told = WalkCoverage.none(cameras), ""
         self._looking: Future[None] | None = None
+        self._ended = False
         self._look_at, self._tell_at = -np.inf, clock() + _TELL_SECONDS
 
     def look(self, instant: Instant) -> None:
@@ -52,13 +58,23 @@ class WalkWatch:
         if now < self._look_at or (self._looking is not None and not self._looking.done()):
             return
         self._look_at = now + _LOOK_SECONDS
-        self._looking = self._pool.submit(self._take, instant)
+        if not self._broken():
+            self._looking = self._pool.submit(self._take, instant)
 
     def end(self) -> None:
         """Wait for the last look, and tell what is missing in the end."""
         if self._looking is not None:
             wait([self._looking])
-        self._say()
+        if not self._broken():
+            self._say()
+
+    def _broken(self) -> bool:
+        """Whether the last look broke, which is logged once; none follows."""
+        error = None if self._looking is None else self._looking.exception()
+        if error is not None and not self._ended:
+            self._ended = True
+            _log.error("the board's walk is no longer watched, as a look at the pictures broke", exc_info=error)
+        return self._ended
 
     def _take(self, instant: Instant) -> None:
         self._coverage = self._coverage.after([self._corners(picture) for picture in instant.pictures])

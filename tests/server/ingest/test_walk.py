@@ -8,6 +8,7 @@ from itertools import count
 from typing import Any
 
 import numpy as np
+import pytest
 
 from streamlod.core.arrays import UInt8
 from streamlod.core.calibration.adjustment import rigid
@@ -40,7 +41,10 @@ class AtOnce(Executor):
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
-        future.set_result(fn(*args, **kwargs))
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except RuntimeError as error:
+            future.set_exception(error)
         return future
 
 
@@ -70,6 +74,16 @@ def test_the_part_of_a_picture_that_never_had_the_board_is_told() -> None:
 
 def test_missing_and_damaged_pictures_show_nothing() -> None:
     assert told(None, damaged, looks=10) == ["the board: no camera has seen it, which is to have 7x5 squares of 55 mm"]
+
+
+def test_a_look_that_breaks_is_logged_once_and_ends_the_watch(caplog: pytest.LogCaptureFixture) -> None:
+    def broken() -> UInt8:
+        raise RuntimeError("no thread is left")
+
+    assert told(broken, looks=10) == []
+    (line,) = caplog.records
+    assert line.getMessage() == "the board's walk is no longer watched, as a look at the pictures broke"
+    assert line.exc_info is not None
 
 
 def test_enough_is_told() -> None:
