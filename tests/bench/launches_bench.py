@@ -37,6 +37,7 @@ REFINING = (
     (KeyframeTrainer, "_astray"),
     (KeyframeTrainer, "_measured_precision"),
     (KeyframeTrainer, "_drop_idle_levels"),
+    (KeyframeTrainer, "_drop_dispensable"),
     (KeyframeTrainer, "_begin_with_anchors"),
 )
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from streamlod.core.render.backends import Backend
-from streamlod.core.render.raster import Raster
 from streamlod.core.train.config import KeyframeConfig, TrainConfig
 from streamlod.core.train.field.decode import Network, Splats, decode
 from streamlod.core.train.field.exposure import Exposure, neutral
@@ -21,8 +19,10 @@ from streamlod.core.train.growth.near_space import NearSpace
 from streamlod.core.train.growth.refine import count, refine
 from streamlod.core.train.growth.rules import GradientGrowth
 from streamlod.core.train.keyframe.drawing import ViewLoss
+from streamlod.core.train.keyframe.effect import anchor_effects, dispensable
 from streamlod.core.train.keyframe.levels import CoarseRows, needed_levels
 from streamlod.core.train.keyframe.precision import sensitivity, signed_gradients, tuned_precision
+from streamlod.core.train.keyframe.relative_error import RelativeErrors
 from streamlod.core.train.keyframe.support import price_share, support, view_support
 from streamlod.core.train.optimise.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
 from streamlod.core.train.pictures.views import Views
@@ -135,6 +135,7 @@ class KeyframeTrainer:
             self._begin_with_anchors(self._learned.live)
         if progress < config.growth_until <= self.progress:
             self._drop_idle_levels()
+            self._drop_dispensable()
         return loss.detach()
 
     def _views_at(self, progress: float) -> Views:
@@ -175,26 +176,43 @@ class KeyframeTrainer:
             return usual_precision(field)
         network = Network(*(value.detach() for value in field.network.parameters()))
         leaves, usable = tuple(getattr(field, name) for name in ROW_PARAMETERS), self._whole.usable
-        exact: dict[int, float] = {}
+        errors = RelativeErrors(self._view_loss, usable)
 
-        def picture(number: int, leaves: tuple[Tensor, ...]) -> Raster:
+        def splats(number: int, leaves: tuple[Tensor, ...]) -> Splats:
             feature, offset, scaling = leaves
-            view = field.view(self._centres[number])
-            return self._view_loss.draw(decode(feature, offset, scaling, field.position, network, view), number)
+            return decode(feature, offset, scaling, field.position, network, field.view(self._centres[number]))
 
         def draw(number: int, leaves: tuple[Tensor, ...]) -> Tensor:
-            raster = picture(number, leaves)
-            exact[number] = max(self._view_loss.squared_error(raster, number), 1e-9)
-            return raster.image / math.sqrt(exact[number])  # so that no camera counts more than another
+            return errors.picture(number, splats(number, leaves))
 
-        @torch.no_grad()
         def added(precision: Precision) -> float:
             rounded = precision.rounded(*leaves)
-            errors = {number: self._view_loss.squared_error(picture(number, rounded), number) for number in usable}
-            return sum(errors[number] / exact[number] for number in usable) - len(usable)
+            return errors.added(lambda number: splats(number, rounded))
 
         found = sensitivity(signed_gradients(leaves, draw, usable, seed=self._steps))
-        return tuned_precision(field, found, self._config.rounding_share * len(usable), added)
+        budget = self._config.rounding_share * len(usable)
+        return tuned_precision(field, found, budget, lambda precision: len(usable) * added(precision))
+
+    def _drop_dispensable(self) -> None:
+        """Remove the anchors without which pictures look almost as they do: their bytes buy nothing."""
+        share, field, usable = self._config.effect_share, self._learned.settled, self._whole.usable
+        if share <= 0:
+            return
+        errors = RelativeErrors(self._view_loss, usable)
+
+        def splats(number: int, present: Tensor) -> Splats:
+            whole = self._decode(field, number, None, rounded=False)
+            return replace(whole, opacities=whole.opacities * present.repeat_interleave(field.slots))
+
+        def draw(number: int, present: Tensor) -> Tensor:
+            return errors.picture(number, splats(number, present))
+
+        def added(present: Tensor) -> float:
+            return errors.added(lambda number: splats(number, present))
+
+        effects = anchor_effects(len(field), draw, usable, self._steps, field.level.device)
+        self._learned.keep(torch.nonzero(~dispensable(effects, share, added))[:, 0])
+        self._begin_with_anchors(self._learned.live)
 
     def _drop_idle_levels(self) -> None:
         """Give up fine levels that carry nothing, while there are steps left to settle; the paper keeps all."""

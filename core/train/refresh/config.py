@@ -14,6 +14,7 @@ from streamlod.core.train.config import TrainConfig
 from streamlod.core.train.field.field import Field
 
 _REFINEMENTS = 8  # of one run, in which anchors are added and removed
+_EFFECT = 0.1  # of `effect_share`: none grows again in this run, and there are many such runs
 
 
 def refresh_config(config: TrainConfig, field: Field, version: int) -> TrainConfig:
@@ -30,6 +31,7 @@ def refresh_config(config: TrainConfig, field: Field, version: int) -> TrainConf
         steps=steps,
         half_size_until=0.0,
         progressive_until=0.0,
+        effect_share=_EFFECT * config.keyframe.effect_share,
         growth_interval=max(1, steps // _REFINEMENTS),
     )
     return replace(
