@@ -8,9 +8,9 @@ and things that move (`movers`). Compiled `casting`, `lighting` and `textures` m
 from streamlod.core.synthetic.clip import open_synthetic, read_spec, write_clip
 from streamlod.core.synthetic.render import (
     GroundTruth,
+    ground_truth,
     is_dynamic,
     moving_surface,
-    render_frame,
     render_image,
     render_view,
     surface_motion,
@@ -21,11 +21,11 @@ __all__ = [
     "GroundTruth",
     "SyntheticSpec",
     "cameras",
+    "ground_truth",
     "is_dynamic",
     "moving_surface",
     "open_synthetic",
     "read_spec",
-    "render_frame",
     "render_image",
     "render_view",
     "surface_motion",

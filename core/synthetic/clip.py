@@ -21,7 +21,7 @@ from streamlod.core.camera import Camera
 from streamlod.core.data.dataset import Dataset, RawRecording, dataset
 from streamlod.core.data.files import read_json
 from streamlod.core.errors import InputError
-from streamlod.core.synthetic.render import depth_bounds, render_frame, render_image
+from streamlod.core.synthetic.render import depth_bounds, ground_truth, render_image
 from streamlod.core.synthetic.spec import SyntheticSpec, cameras, exposures
 
 _QUALITY = "16"  # constant rate factor of H.264: artefacts stay below the camera noise
@@ -135,21 +135,16 @@ def _write_files(spec: SyntheticSpec, folder: Path, progress: Callable[[float], 
     truth = folder / "ground_truth"
     truth.mkdir()
     chosen = sorted({round(index) for index in np.linspace(0, spec.frames - 1, _TRUTH_FRAMES)})
-    steps, done = spec.cameras + len(chosen), 0
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         jobs = [pool.submit(_write_video, spec, index, folder / f"{rig[index].name}.mp4") for index in range(len(rig))]
+        jobs += [pool.submit(_write_truth, spec, index, truth / f"frame{index:05d}.npz") for index in chosen]
         try:
-            for job in jobs:
+            for done, job in enumerate(jobs, 1):
                 job.result()
-                done += 1
-                progress(done / steps)
+                progress(done / len(jobs))
         finally:
             for job in jobs:
                 job.cancel()
-    for index in chosen:
-        _write_truth(spec, index, truth / f"frame{index:05d}.npz")
-        done += 1
-        progress(done / steps)
     (truth / "spec.json").write_text(json.dumps(_description(spec, rig, bounds), indent=1))
 
 
@@ -165,7 +160,7 @@ def _write_video(spec: SyntheticSpec, camera: int, path: Path) -> None:
 
 
 def _write_truth(spec: SyntheticSpec, index: int, path: Path) -> None:
-    views = [render_frame(spec, index, camera) for camera in range(spec.cameras)]
+    views = [ground_truth(spec, index, camera) for camera in range(spec.cameras)]
     np.savez_compressed(
         path,
         depth=np.stack([view.depth for view in views]).astype(np.float16),

@@ -33,17 +33,15 @@ _SKY = 1e-3 * FAR  # metres; what lies deeper is sky
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundTruth:
-    """One camera's picture at one instant, and what is true of each pixel's centre.
+    """Truth at each pixel's centre of one camera's picture at one instant.
 
     Attributes:
-        image: [H,W,3] uint8 RGB.
         depth: [H,W] float32 metres along the camera's z axis, infinite in the sky.
         motion: [H,W,3] float32 metres that the surface point moved in the world since the frame before.
         moving: [H,W] bool, the surface moved.
         mirror: [H,W] bool, the surface reflects: its picture may change although it stands still.
     """
 
-    image: UInt8
     depth: Float32
     motion: Float32
     moving: Bool
@@ -86,8 +84,8 @@ def scene_at(spec: SyntheticSpec, index: int) -> SceneArrays:
     return assemble(spec.place.still(generator) + spec.place.moving(spec.time_of(index), spec.cycle, phase))
 
 
-def render_frame(spec: SyntheticSpec, index: int, camera_index: int) -> GroundTruth:
-    """The picture of one camera at frame `index`, with its ground truth; the same for the same arguments.
+def ground_truth(spec: SyntheticSpec, index: int, camera_index: int) -> GroundTruth:
+    """The truth of `render_image` at frame `index`; the same for the same arguments.
 
     Raises:
         ValueError: `index` or `camera_index` lies outside the clip.
@@ -102,7 +100,6 @@ def render_frame(spec: SyntheticSpec, index: int, camera_index: int) -> GroundTr
     motion, mirror = truth[:, 1:4], truth[:, 4] > 0
     shape = (spec.height, spec.width)
     return GroundTruth(
-        image=render_image(spec, index, camera_index),
         depth=depth.reshape(shape),
         motion=motion.reshape(*shape, 3),
         moving=(np.linalg.norm(motion, axis=1) > _MOVED).reshape(shape),
@@ -111,7 +108,7 @@ def render_frame(spec: SyntheticSpec, index: int, camera_index: int) -> GroundTr
 
 
 def render_image(spec: SyntheticSpec, index: int, camera_index: int) -> UInt8:
-    """The picture of `render_frame` alone, [H,W,3] uint8; ValueError as there.
+    """The picture of one camera at frame `index`, [H,W,3] uint8; ValueError as in `ground_truth`.
 
     Most of a picture stands still: only spans of pixels that a mover can cover, shade or be mirrored in are rendered
     again, the others come from a picture of the empty room, which is kept for each camera.

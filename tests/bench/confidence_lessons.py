@@ -30,7 +30,7 @@ from streamlod.core.initialise.consistency import knowing, votes
 from streamlod.core.initialise.methods.plane_sweep import PlaneSweep
 from streamlod.core.initialise.stereo.sweep import DepthMap
 from streamlod.core.initialise.views import WorkingViews, working_views
-from streamlod.core.synthetic import open_synthetic, render_frame
+from streamlod.core.synthetic import ground_truth, open_synthetic
 from tests.bench.zoo.scenes import SCENES, ZooScene
 
 _LOG = logging.getLogger(__name__)
@@ -146,7 +146,7 @@ def _synthetic(scene: ZooScene, choice: Choice) -> Lesson:
     matches, errors = sweep.matches(_off(views, off), whole.depth_bounds), []
     for name, depth_map in zip(choice.cameras, matches.maps, strict=True):
         height, width = depth_map.depth.shape
-        truth = render_frame(spec, 0, whole.names.index(name)).depth
+        truth = ground_truth(spec, 0, whole.names.index(name)).depth
         truth = np.asarray(cv2.resize(truth, (width, height), interpolation=cv2.INTER_NEAREST), np.float32)
         errors.append(np.asarray(depth_map.depth / truth - 1, np.float64))
     return _lesson(choice, matches, errors)

@@ -22,7 +22,7 @@ from streamlod.core.data import linspace_split
 from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.core.initialise import first_points
 from streamlod.core.initialise.views import inside, project
-from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
+from streamlod.core.synthetic import SyntheticSpec, ground_truth, open_synthetic
 
 _ON, _BEFORE = 0.03, 0.1  # relative depths: this near is on a surface, this far before it is in free space
 _ROOM = 13 / 480  # of the width, within which a nearer surface excuses a point: matched windows widen what is near
@@ -83,7 +83,7 @@ def main() -> None:
         bounds = None if options.unknown_bounds else dataset.depth_bounds
         points = first_points(frame, cameras, depth_bounds=bounds, method=options.method)
         seconds = time.process_time() - began
-        score = score_points(points, cameras, [render_frame(spec, 0, row).depth for row in rows])
+        score = score_points(points, cameras, [ground_truth(spec, 0, row).depth for row in rows])
         print(
             f"{options.kind} {views} views: {score.points} points, {score.free_in_10000:.2f} of 10,000 in free space, "
             f"{score.off:.3f} off the surface, {score.covered:.3f} of the cells covered, {seconds:.1f} s CPU",

@@ -16,7 +16,7 @@ from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.core.initialise import first_points
 from streamlod.core.initialise.bounds import geometric_bounds
 from streamlod.core.initialise.views import inside, project
-from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
+from streamlod.core.synthetic import SyntheticSpec, ground_truth, open_synthetic
 
 SPEC = SyntheticSpec(cameras=4, frames=1, width=112, height=63)
 PIXELS = SPEC.cameras * SPEC.width * SPEC.height
@@ -40,7 +40,7 @@ def surface_error(points: PointCloud) -> np.ndarray:
         pixels, depth = project(camera, points.positions.astype(np.float64))
         seen = inside(camera, pixels, depth)
         column, row = pixels[seen].astype(int).T
-        truth = render_frame(SPEC, 0, index).depth[row, column]
+        truth = ground_truth(SPEC, 0, index).depth[row, column]
         error[seen] = np.minimum(error[seen], np.abs(depth[seen] / truth - 1))
     return error
 
@@ -59,7 +59,7 @@ def test_swept_points_carry_the_colours_of_the_pictures(frame: FrameSet, swept: 
     pixels, depth = project(camera, swept.positions.astype(np.float64))
     seen = inside(camera, pixels, depth)
     column, row = pixels[seen].astype(int).T
-    visible = np.abs(depth[seen] / render_frame(SPEC, 0, 0).depth[row, column] - 1) < 0.02
+    visible = np.abs(depth[seen] / ground_truth(SPEC, 0, 0).depth[row, column] - 1) < 0.02
     difference = np.abs(frame.images[0][row, column] / 255 - swept.colours[seen])[visible]
     assert np.median(difference) < 0.03
 

@@ -19,12 +19,12 @@ from streamlod.core.frames import FrameSet
 from streamlod.core.initialise import first_points
 from streamlod.core.initialise.plugins.depth_anything import DepthAnythingPoints, poses_to_tell
 from streamlod.core.initialise.views import inside, project
-from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
+from streamlod.core.synthetic import SyntheticSpec, ground_truth, open_synthetic
 
 SPEC = SyntheticSpec(cameras=4, frames=1, width=112, height=70)
 DATASET = open_synthetic(SPEC)
 FRAME = next(iter(DATASET.frames()))
-TRUTH = np.stack([render_frame(SPEC, 0, index).depth for index in range(SPEC.cameras)])
+TRUTH = np.stack([ground_truth(SPEC, 0, index).depth for index in range(SPEC.cameras)])
 OWN_UNIT = 3.7  # metres per unit of what the stand-in predicts without poses
 
 

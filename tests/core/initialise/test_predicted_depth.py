@@ -15,7 +15,7 @@ from streamlod.core.initialise.predicted_depth import (
     predicted_points,
 )
 from streamlod.core.initialise.views import WorkingViews, inside, project
-from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
+from streamlod.core.synthetic import SyntheticSpec, ground_truth, open_synthetic
 
 SPEC = SyntheticSpec(cameras=4, frames=1, width=112, height=70)
 DATASET = open_synthetic(SPEC)
@@ -25,7 +25,7 @@ UNIT = 3.7  # metres per unit of the simulated prediction
 def prediction() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """True depth in other units, with a scale and a shift of its own a view, and a noise of 0.3 %."""
     generator = np.random.default_rng(5)
-    truth = np.stack([render_frame(SPEC, 0, index).depth for index in range(4)]).astype(np.float64)
+    truth = np.stack([ground_truth(SPEC, 0, index).depth for index in range(4)]).astype(np.float64)
     scale, shift = np.array([1.03, 0.97, 1.01, 0.98]), np.array([0.05, -0.04, 0.0, 0.06])
     depth = (truth - shift[:, None, None]) / scale[:, None, None] / UNIT
     poses = np.stack([camera.world_to_camera for camera in DATASET.cameras])
@@ -41,7 +41,7 @@ def test_scale_and_shift_of_each_view_are_found() -> None:
     depth, expected, _ = prediction()
     scale, shift = fit_scale_and_shift(DATASET.cameras, depth, UNIT)
     for index in range(4):
-        truth = render_frame(SPEC, 0, index).depth
+        truth = ground_truth(SPEC, 0, index).depth
         error = np.abs((scale[index] * depth[index] + shift[index]) / truth - 1)
         assert np.median(error) < 0.015
     assert np.abs(scale / expected - 1).max() < 0.02
@@ -60,7 +60,7 @@ def test_placed_points_lie_on_the_surfaces_and_doubtful_ones_are_dropped() -> No
         pixels, z = project(camera, points.positions.astype(np.float64))
         seen = inside(camera, pixels, z)
         column, row = pixels[seen].astype(int).T
-        error[seen] = np.minimum(error[seen], np.abs(z[seen] / render_frame(SPEC, 0, index).depth[row, column] - 1))
+        error[seen] = np.minimum(error[seen], np.abs(z[seen] / ground_truth(SPEC, 0, index).depth[row, column] - 1))
     assert len(points) > 0.4 * depth.size
     assert (error < 0.03).mean() > 0.95
 

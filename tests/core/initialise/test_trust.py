@@ -16,7 +16,7 @@ from streamlod.core.initialise.method import PointSources
 from streamlod.core.initialise.stereo.sweep import DepthMap, plane_count, sweep_views
 from streamlod.core.initialise.stereo.sweep_kernel import best_planes
 from streamlod.core.initialise.views import WorkingViews, working_views
-from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
+from streamlod.core.synthetic import SyntheticSpec, ground_truth, open_synthetic
 from tests.bench.first_points_bench import score_points
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -39,7 +39,7 @@ def test_hardly_any_point_of_a_plain_room_hangs_in_free_space(width: int, free: 
     dataset = open_synthetic(spec)
     frame = next(iter(dataset.frames()))
     points = first_points(frame, dataset.cameras, depth_bounds=dataset.depth_bounds, method="sweep")
-    truth = [render_frame(spec, 0, number).depth for number in range(spec.cameras)]
+    truth = [ground_truth(spec, 0, number).depth for number in range(spec.cameras)]
     score = score_points(points, list(dataset.cameras), truth)
     assert score.points > width**2
     assert score.free_in_10000 <= free
@@ -133,5 +133,5 @@ def test_what_only_one_neighbour_sees_is_found_too(seen: int) -> None:
     assert dataset.depth_bounds is not None
     chosen = WorkingViews(views.cameras[: seen + 1], views.images[: seen + 1])
     depth = sweep_views(chosen, dataset.depth_bounds, 128)[0]
-    right = np.abs(depth.depth / render_frame(spec, 0, 0).depth - 1) < 0.03
+    right = np.abs(depth.depth / ground_truth(spec, 0, 0).depth - 1) < 0.03
     assert right[:, 40:120].mean() > 0.55

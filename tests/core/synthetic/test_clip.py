@@ -13,9 +13,9 @@ from streamlod.core.errors import InputError
 from streamlod.core.synthetic import (
     SyntheticSpec,
     cameras,
+    ground_truth,
     open_synthetic,
     read_spec,
-    render_frame,
     render_image,
     write_clip,
 )
@@ -46,7 +46,7 @@ def test_depth_bounds_hold_what_the_cameras_see() -> None:
     bounds = open_synthetic(SPEC).depth_bounds
     assert bounds is not None
     for camera in range(SPEC.cameras):
-        depth = render_frame(SPEC, 4, camera).depth
+        depth = ground_truth(SPEC, 4, camera).depth
         assert bounds[0] < depth.min() < depth.max() < bounds[1]
 
 
@@ -66,7 +66,7 @@ def test_the_files_read_back_as_the_clip(clip: Path) -> None:
 @pytest.mark.long
 def test_the_truth_beside_the_videos_is_the_truth(clip: Path) -> None:
     with np.load(clip / "ground_truth" / "frame00004.npz", allow_pickle=False) as truth:
-        exact = render_frame(SPEC, 4, 1)
+        exact = ground_truth(SPEC, 4, 1)
         assert np.allclose(truth["depth"][1], exact.depth, rtol=1e-3)
         assert np.array_equal(truth["moving"][1], exact.moving)
         assert np.array_equal(truth["mirror"][1], exact.mirror)

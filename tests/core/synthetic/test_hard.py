@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from streamlod.core.arrays import Float64
-from streamlod.core.synthetic import SyntheticSpec, cameras, moving_surface, render_frame, surface_motion
+from streamlod.core.synthetic import SyntheticSpec, cameras, ground_truth, moving_surface, surface_motion
 from streamlod.core.synthetic.kinds.hard import KIND
 from streamlod.core.synthetic.parts import Part
 
@@ -74,6 +74,6 @@ def test_speed_is_that_of_the_ball_in_pixels_a_frame(speed: float) -> None:
     assert np.linalg.norm(there[:2] / there[2] - here[:2] / here[2]) == pytest.approx(speed * nearer, rel=0.15)
     mask = moving_surface(clip, 5, camera)
     assert 0.03 < mask.mean() < 0.5
-    assert np.array_equal(mask, render_frame(clip, 5, 0).moving)
+    assert np.array_equal(mask, ground_truth(clip, 5, 0).moving)
     moved = surface_motion(clip, 5, camera)
     assert np.percentile(moved[moved > 0], 75) > 0.2 * speed  # not the ball alone

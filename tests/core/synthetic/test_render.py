@@ -15,8 +15,8 @@ from streamlod.core.synthetic import (
     GroundTruth,
     SyntheticSpec,
     cameras,
+    ground_truth,
     is_dynamic,
-    render_frame,
     render_image,
     surface_motion,
 )
@@ -59,7 +59,7 @@ def test_reusing_the_empty_room_changes_nothing(kind: str, index: int) -> None:
 
 
 def test_depth_agrees_between_cameras_and_so_do_colours() -> None:
-    first, second = (render_frame(SPEC, 20, camera) for camera in (0, 2))
+    first, second = (ground_truth(SPEC, 20, camera) for camera in (0, 2))
     points = world(first, cameras(SPEC)[0])
     fits, pixels, depth = look_up(cameras(SPEC)[2], points)
     there = second.depth[pixels]
@@ -68,13 +68,14 @@ def test_depth_agrees_between_cameras_and_so_do_colours() -> None:
     hidden = fits & (depth < there * 0.9)  # a point before everything that the other camera sees there
     assert hidden[fits].mean() < 0.02  # only at the edges of things
     matt = same & ~first.mirror.ravel() & ~second.mirror[pixels]
-    error = np.abs(first.image.reshape(-1, 3)[matt].astype(int) - second.image[pixels][matt])
+    seen, other = (render_image(SPEC, 20, camera) for camera in (0, 2))
+    error = np.abs(seen.reshape(-1, 3)[matt].astype(int) - other[pixels][matt])
     assert np.median(error) < 10
 
 
 def test_motion_leads_back_to_the_frame_before() -> None:
     camera = cameras(SPEC)[0]
-    now, before = render_frame(SPEC, 31, 0), render_frame(SPEC, 30, 0)
+    now, before = ground_truth(SPEC, 31, 0), ground_truth(SPEC, 30, 0)
     origin = world(now, camera) - now.motion.reshape(-1, 3)
     fits, pixels, depth = look_up(camera, origin)
     on_mover = fits & now.moving.ravel()
@@ -86,7 +87,7 @@ def test_motion_leads_back_to_the_frame_before() -> None:
 
 def test_moving_pixels_are_dynamic_points_and_far_ones_are_not() -> None:
     for index in (9, 31):
-        truth = render_frame(SPEC, index, 0)
+        truth = ground_truth(SPEC, index, 0)
         points = world(truth, cameras(SPEC)[0])
         dynamic = is_dynamic(SPEC, points, index)
         moving = truth.moving.ravel()
@@ -96,22 +97,22 @@ def test_moving_pixels_are_dynamic_points_and_far_ones_are_not() -> None:
 
 
 def test_where_a_mover_was_is_dynamic_too() -> None:
-    truth = render_frame(SPEC, 30, 0)
+    truth = ground_truth(SPEC, 30, 0)
     points = world(truth, cameras(SPEC)[0])[truth.moving.ravel()]
     assert is_dynamic(SPEC, points, 31).mean() > 0.95
 
 
 def test_a_still_clip_does_not_move() -> None:
     still = replace(SPEC, still=True)
-    truth = render_frame(still, 40, 1)
+    truth = ground_truth(still, 40, 1)
     assert not truth.moving.any()
     assert not truth.motion.any()
-    assert np.array_equal(truth.image, render_image(still, 0, 1))
+    assert np.array_equal(render_image(still, 40, 1), render_image(still, 0, 1))
     assert not is_dynamic(still, world(truth, cameras(still)[1]), 40).any()
 
 
 def test_nothing_moves_in_the_step_to_the_first_frame() -> None:
-    truth = render_frame(SPEC, 0, 0)
+    truth = ground_truth(SPEC, 0, 0)
     assert not truth.moving.any()
     assert not is_dynamic(SPEC, world(truth, cameras(SPEC)[0]), 0).any()
 
@@ -122,17 +123,18 @@ def test_the_visitor_appears_and_leaves(frames: int) -> None:
     camera = cameras(spec)[0]
     head = np.array([[-0.42, 3.85, 1.05]])
     _, pixels, depth = look_up(camera, head)
-    depths = [float(render_frame(spec, index, 0).depth[pixels][0]) for index in (0, frames // 2, frames - 1)]
+    depths = [float(ground_truth(spec, index, 0).depth[pixels][0]) for index in (0, frames // 2, frames - 1)]
     assert depths[1] < depths[0] - 0.1
     assert depths[1] == pytest.approx(float(depth[0]), abs=0.15)
     assert depths[2] == pytest.approx(depths[0], abs=1e-4)
 
 
 def test_mirrors_change_although_they_do_not_move() -> None:
-    first, later = render_frame(SPEC, 10, 1), render_frame(SPEC, 25, 1)
+    first, later = ground_truth(SPEC, 10, 1), ground_truth(SPEC, 25, 1)
     shiny = first.mirror & later.mirror & ~later.moving
     assert shiny.mean() > 0.005
-    assert np.abs(first.image[shiny].astype(int) - later.image[shiny]).max() > 25
+    pictures = [render_image(SPEC, index, 1)[shiny].astype(int) for index in (10, 25)]
+    assert np.abs(pictures[0] - pictures[1]).max() > 25
 
 
 def test_noise_and_exposure_are_as_asked() -> None:
@@ -166,13 +168,13 @@ def test_a_spec_refuses_what_it_cannot_mean(fields: dict[str, float]) -> None:
 def test_frames_and_cameras_outside_the_clip_are_refused() -> None:
     for index, camera in ((60, 0), (-1, 0), (0, 5)):
         with pytest.raises(ValueError, match="outside"):
-            render_frame(SPEC, index, camera)
+            ground_truth(SPEC, index, camera)
 
 
 def test_motion_in_pixels_leads_to_the_same_surface() -> None:
     """Where a surface was seen, and how far it went, agree with the motion that the next frame's truth tells."""
     camera = cameras(SPEC)[0]
-    now = render_frame(SPEC, 31, 0)
+    now = ground_truth(SPEC, 31, 0)
     ahead = surface_motion(SPEC, 31, camera)
     both = now.moving & (ahead > 0)  # most of a mover stays in the picture from one frame to the next
     assert both.sum() > 0.8 * now.moving.sum()

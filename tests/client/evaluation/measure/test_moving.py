@@ -10,7 +10,7 @@ import pytest
 from streamlod.client.evaluation.measure.moving import MIN_PIXELS, MovingPixels, moving_score
 from streamlod.core.arrays import Bool, UInt8
 from streamlod.core.metrics import psnr
-from streamlod.core.synthetic import SyntheticSpec, cameras, render_frame, render_image
+from streamlod.core.synthetic import SyntheticSpec, cameras, ground_truth, render_image
 
 SPEC = SyntheticSpec(cameras=3, frames=12, width=160, height=90, speed=3.0)
 
@@ -25,7 +25,7 @@ def test_true_masks_cover_what_moves_and_little_else() -> None:
     for index in (0, 1, 7):
         masks = movers.masks(index, pictures(index))
         assert masks is not None
-        exact = np.stack([render_frame(SPEC, max(index, 1), camera).moving for camera in range(3)])
+        exact = np.stack([ground_truth(SPEC, max(index, 1), camera).moving for camera in range(3)])
         assert masks[exact].mean() > (0.8 if index == 0 else 0.999)
         assert exact.sum() < masks.sum() < 2.5 * exact.sum()
 
@@ -35,7 +35,7 @@ def test_masks_of_real_video_are_where_pictures_change() -> None:
     assert movers.masks(0, pictures(5)) is None
     masks = movers.masks(1, pictures(6))
     assert masks is not None
-    exact = np.stack([render_frame(SPEC, 6, camera).moving for camera in range(3)])
+    exact = np.stack([ground_truth(SPEC, 6, camera).moving for camera in range(3)])
     assert masks[exact].mean() > 0.4  # what moves without changing its look does not show
     assert masks[~exact].mean() < 0.08
     still = movers.masks(2, pictures(6) + np.random.default_rng(0).integers(0, 3, pictures(6).shape, np.uint8))

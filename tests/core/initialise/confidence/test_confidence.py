@@ -20,7 +20,7 @@ from streamlod.core.initialise.methods.plane_sweep import PlaneSweep
 from streamlod.core.initialise.stereo.patch_kernel import UNSEEN
 from streamlod.core.initialise.stereo.patches import SlantedMap
 from streamlod.core.initialise.views import WorkingViews, working_views
-from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
+from streamlod.core.synthetic import SyntheticSpec, ground_truth, open_synthetic
 from tests.core.initialise.stereo.test_patches import BOUNDS, floor_picture
 from tests.core.initialise.stereo.test_patches import camera as floor_camera
 
@@ -204,7 +204,7 @@ def test_it_finds_more_right_depths_than_the_tests_alone() -> None:
     confidence = np.concatenate([network(values) for values in evidence(matches)])
     believed = np.concatenate([good.ravel() for good in LearnedSweep().believed(matches)])
     trusted = np.concatenate([good.ravel() for good in matches.trusted])
-    truth = [render_frame(spec, 0, number).depth for number in range(3)]
+    truth = [ground_truth(spec, 0, number).depth for number in range(3)]
     pairs = zip(matches.maps, truth, strict=True)
     right = np.concatenate([(np.abs(one.depth / true - 1) < 0.03).ravel() for one, true in pairs])
     surest = confidence >= np.sort(confidence)[-trusted.sum()]  # as many as pass the tests

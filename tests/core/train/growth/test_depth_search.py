@@ -12,7 +12,7 @@ import torch
 from streamlod.core.arrays import Float32, Float64
 from streamlod.core.camera import Camera
 from streamlod.core.initialise.stereo.sweep import pair_geometry
-from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
+from streamlod.core.synthetic import SyntheticSpec, ground_truth, open_synthetic
 from streamlod.core.train.growth.depth_search import best_planes, inverse_depths, matched_pixels
 from streamlod.core.train.kernels.windows import HALF, UNSEEN
 from streamlod.core.train.pictures.views import Views
@@ -83,7 +83,7 @@ def test_the_kernel_finds_what_plain_code_finds() -> None:
 
 def test_pixels_with_texture_are_put_on_their_surface() -> None:
     cameras, pictures = rig()
-    depth = render_frame(SPEC, 0, 0).depth.astype(float)
+    depth = ground_truth(SPEC, 0, 0).depth.astype(float)
     views = Views(cameras, torch.from_numpy(pictures), list(range(len(cameras))))
     grey = pictures[0].mean(axis=2)
     textured = np.abs(np.gradient(grey, axis=1)) + np.abs(np.gradient(grey, axis=0))

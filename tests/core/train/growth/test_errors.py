@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from streamlod.core.camera import Camera
-from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
+from streamlod.core.synthetic import SyntheticSpec, ground_truth, open_synthetic
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.growth.errors import ErrorNodes, error_nodes, values_at
 from streamlod.core.train.pictures.views import Views
@@ -31,7 +31,7 @@ def case() -> Case:
     living = replace(random_field(60), position=torch.from_numpy(line).float())
     drawn = {}
     for number in views.usable:
-        depth = torch.from_numpy(render_frame(SPEC, 0, number).depth)
+        depth = torch.from_numpy(ground_truth(SPEC, 0, number).depth)
         lacking = ((depth > 2) & (depth < 4))[..., None]
         drawn[number] = torch.where(lacking, views.targets[number] * 0.4, views.targets[number])
     return living, views, drawn, torch.ones(4, SPEC.height, SPEC.width, dtype=torch.bool)
@@ -44,7 +44,7 @@ def distance_to_surface(nodes: ErrorNodes, camera: Camera, number: int) -> tuple
     pixel = seen @ camera.intrinsics.T
     column, row = (pixel[:, :2] / pixel[:, 2:]).astype(int).T
     inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-    depth = render_frame(SPEC, 0, number).depth[np.where(inside, row, 0), np.where(inside, column, 0)]
+    depth = ground_truth(SPEC, 0, number).depth[np.where(inside, row, 0), np.where(inside, column, 0)]
     return torch.from_numpy(seen[:, 2] / depth - 1), torch.from_numpy(inside)
 
 
