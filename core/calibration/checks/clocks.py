@@ -52,8 +52,13 @@ def clock_of(footage: WalkFootage) -> Clock:
 
 
 def judged(clocks: Sequence[Clock]) -> Iterator[RigFinding]:
-    """Findings about clocks that do not go with the others."""
-    rate = float(np.median([clock.rate for clock in clocks]))
+    """Findings about clocks that do not go with the others.
+
+    An uneven clock's pictures cannot be counted exactly: gaps of one and a half periods are one or two. So nothing is
+    said of its drift, and none is measured against it, as long as others are even.
+    """
+    even = [clock for clock in clocks if clock.uneven <= _UNEVEN]
+    rate = float(np.median([clock.rate for clock in even or clocks]))
     end = float(np.median([clock.end for clock in clocks]))
     for clock in clocks:
         seconds = clock.end - clock.begin
@@ -73,7 +78,7 @@ def judged(clocks: Sequence[Clock]) -> Iterator[RigFinding]:
                 f"{clock.camera} runs at {clock.rate:.2f} pictures a second, most cameras at "
                 f"{rate:.2f}: set them to one rate"
             )
-        elif (drift := abs(multiple / round(multiple) - 1) * seconds * rate) > _DRIFT:
+        elif clock in even and (drift := abs(multiple / round(multiple) - 1) * seconds * rate) > _DRIFT:
             yield weak(
                 f"{clock.camera} drifts by {drift:.1f} pictures against most cameras within "
                 f"{seconds:.0f} s: use cameras that are set by NTP, or cut the recording shorter"

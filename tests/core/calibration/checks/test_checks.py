@@ -150,6 +150,18 @@ def test_clocks(times: np.ndarray, severity: str | None, sentence: str) -> None:
     assert all(finding.sentence.startswith(sentence) for finding in found)
 
 
+def test_uneven_clocks_make_nobody_drift() -> None:
+    """Four gaps of 1.6 periods are counted as two each: more than one picture too many, in two cameras of four."""
+    steps = np.full(300, 1 / 8)
+    steps[[60, 80, 100, 120]] = 1.6 / 8
+    late = np.concatenate([[0.0], np.cumsum(steps)])
+    clocks = [clock(np.arange(301) / 8, "a"), clock(np.arange(301) / 8, "b"), clock(late, "c"), clock(late, "d")]
+    assert abs(clocks[2].rate / clocks[0].rate - 1) * clocks[0].end * 8 > 1  # which is no drift
+    sentences = [finding.sentence for finding in judged(clocks)]
+    assert [sentence.split()[0] for sentence in sentences] == ["c", "d"]
+    assert all("unevenly" in sentence for sentence in sentences)
+
+
 @pytest.mark.long
 def test_the_command_checks_files(tmp_path: Path) -> None:
     from typer.testing import CliRunner
