@@ -55,7 +55,7 @@ def judged(clocks: Sequence[Clock]) -> Iterator[RigFinding]:
     """Findings about clocks that do not go with the others.
 
     An uneven clock's pictures cannot be counted exactly: gaps of one and a half periods are one or two. So nothing is
-    said of its drift, and none is measured against it, as long as others are even.
+    said of its drift, and where any clock is even, the others are compared with the even ones alone.
     """
     even = [clock for clock in clocks if clock.uneven <= _UNEVEN]
     rate = float(np.median([clock.rate for clock in even or clocks]))

@@ -129,7 +129,7 @@ def test_a_camera_that_saw_the_board_too_rarely_is_named() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("when", ["last", pytest.param("first", marks=pytest.mark.long)])
+@pytest.mark.parametrize("when", ["last", "first"])
 def test_a_camera_that_was_knocked_during_the_walk_is_named(when: str) -> None:
     """By four degrees, for so short a time that what it saw then would pass for a few outliers."""
     truth, seconds = rig(), 24.0
