@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import cv2
 import numpy as np
@@ -38,6 +39,7 @@ def frames(rig: Sequence[Camera], count: int = 2) -> list[FrameSet]:
     return found
 
 
+@cache
 def _texture(face: int) -> UInt8:
     """[S,S] blobs and edges of many sizes, unlike those of other faces."""
     random = np.random.default_rng(100 + face)
