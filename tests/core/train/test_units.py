@@ -25,7 +25,7 @@ from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import Trainer, preset
 from tests.client.evaluation.conftest import shortened
 
-SPEC = SyntheticSpec(kind="room", cameras=4, frames=2, width=96, height=54)
+SPEC = SyntheticSpec(kind="room", cameras=4, frames=2, width=64, height=36)
 TURN = Rotation.from_rotvec([0.3, -1.1, 0.7]).as_matrix()
 
 
