@@ -77,7 +77,7 @@ def in_step(page: Any) -> None:
 def test_sound_follows_the_picture(page: Any, sounding: Path) -> None:
     asked = []
     page.on("request", lambda request: asked.append(request.url.rpartition("/")[2]))
-    page.set_viewport_size({"width": 900, "height": 506})
+    page.set_viewport_size({"width": 640, "height": 360})
     with served(page, Settings(), sounding, loop=False) as server:
         page.goto(f"{server.url}/?quality=low&sway=0")
         shows(page, "s.sound !== null && s.version > 2")
@@ -140,7 +140,7 @@ CLICKS = """(begin) => window.heard.slice(-5).map((at) => {
 @pytest.mark.long
 def test_clicks_are_heard_when_their_pictures_are_seen(page: Any, sounding: Path) -> None:
     """From the samples that the browser puts out, not from what its element says of itself."""
-    page.set_viewport_size({"width": 900, "height": 506})
+    page.set_viewport_size({"width": 640, "height": 360})
     page.add_init_script(
         "window.Audio = class { constructor() { return (window.playing = document.createElement('audio')); } };"
     )
@@ -162,7 +162,7 @@ def test_clicks_are_heard_when_their_pictures_are_seen(page: Any, sounding: Path
 def test_sound_of_a_stream_that_needs_a_token(page: Any, sounding: Path, tmp_path: Path) -> None:
     tokens = tmp_path / "tokens.json"
     tokens.write_text(json.dumps([{"name": "a", "sha256": hash_token("a"), "rights": ["read"], "streams": "main"}]))
-    page.set_viewport_size({"width": 900, "height": 506})
+    page.set_viewport_size({"width": 640, "height": 360})
     with served(page, Settings(tokens=tokens), sounding) as server:
         page.goto(f"{server.url}/?quality=low&sway=0&token=a")
         shows(page, "s.sound !== null && s.version > 2")
@@ -172,7 +172,7 @@ def test_sound_of_a_stream_that_needs_a_token(page: Any, sounding: Path, tmp_pat
 
 def test_one_clock_for_all_who_watch_together(page: Any, sounding: Path) -> None:
     """The server plays, and begins again at the end; pictures come over the websocket."""
-    page.set_viewport_size({"width": 900, "height": 506})
+    page.set_viewport_size({"width": 640, "height": 360})
     with served(page, Settings(), sounding) as server:
         page.goto(f"{server.url}/?quality=low&sway=0&together=1")
         shows(page, "s.sound !== null && s.version > 2")
@@ -183,7 +183,7 @@ def test_one_clock_for_all_who_watch_together(page: Any, sounding: Path) -> None
 
 def test_a_file_of_any_site_is_played_with_its_sound(page: Any, clip: Clip, sounding: Path) -> None:
     """`sound=` beside `src=`: its begin is read from the file, once somebody wants it."""
-    page.set_viewport_size({"width": 900, "height": 506})
+    page.set_viewport_size({"width": 640, "height": 360})
     with serving(create_app(clip, Behaviour(), sounding.parent)) as url:
         page.goto(f"{url}/?src=files/clip.slod&sound=files/clip.slod.opus&quality=low&sway=0")
         shows(page, "s.sound !== null && s.version > 2")
