@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 _WEAK_PIXELS = 1.0  # root mean square from which pictures or lens should be looked at
 _WEAK_DEGREES = 0.3  # standard error of a direction, mostly that of the lens's centre
+_WEAK_SECONDS = 0.005  # standard deviation of a camera's times
 _WEAK_SEEN = 0.35  # part of a picture's cells that the board should have been in
 _ACROSS, _DOWN = 6, 4
 
@@ -57,6 +58,11 @@ def advice_of(calibration: Calibration) -> Iterator[str]:
             yield (
                 f"{camera.name} is known to {degrees:.2f} degrees and {1000 * metres:.0f} mm only: walk longer, and "
                 "nearer to it, where another camera sees the board too"
+            )
+        if (uneven := calibration.uneven[number]) > _WEAK_SECONDS:
+            yield (
+                f"{camera.name} takes its pictures {1000 * uneven:.0f} ms earlier or later than their times say, which "
+                "the calibration allows for: end other programs, or film at a constant rate"
             )
         if calibration.rms(number) > _WEAK_PIXELS:
             yield (

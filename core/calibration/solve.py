@@ -20,6 +20,7 @@ from streamlod.core.calibration.adjustment.adjust import (
     spread,
 )
 from streamlod.core.calibration.adjustment.projection import matrix_of
+from streamlod.core.calibration.adjustment.timing import UnevenTimes, uneven_times
 from streamlod.core.calibration.board.description import Board
 from streamlod.core.calibration.first_lens import first_lens
 from streamlod.core.calibration.graph import first_poses
@@ -43,14 +44,15 @@ class Calibration:
 
     Attributes:
         cameras: with distortion, world to camera in metres, z up.
-        root: number of the camera that the errors are relative to, and whose clock is the common one.
+        root: number of the camera whose clock is the common one.
         offsets: [C] seconds to add to each camera's clock to get the root's.
         periods: [C] seconds between each camera's pictures.
-        errors: [C,2] standard errors of directions in degrees and of places in metres.
+        errors: [C,2] standard errors of directions in degrees and of places in metres, in the rig as a whole.
+        uneven: [C] seconds by which each camera's times are off, a standard deviation.
         floor_by_board: whether the board lay on the floor; else up is as the cameras are held.
         times: [I] common seconds of the instants used.
         boards: [I,3] the board's centre at these, in the world.
-        seen: the corners used. misses: [N,2] pixels by which they lie off.
+        seen: the corners used. misses: [N,2] pixels by which they lie off, what uneven times explain left out.
     """
 
     cameras: tuple[Camera, ...]
@@ -58,6 +60,7 @@ class Calibration:
     offsets: Float64
     periods: Float64
     errors: Float64
+    uneven: Float64
     floor_by_board: bool
     times: Float64
     boards: Float64
@@ -97,28 +100,36 @@ def calibrate(tracks: Sequence[Track], board: Board, known: Mapping[str, Float64
     placed = np.isfinite(first.boards[:, 0])
     times = times[placed]
     scene = AdjustedRig(lenses, first.cameras, offsets, first.boards[placed])
-    found, corners = _adjusted(tracks, times, scene, board, first.root, fixed)
+    found, corners, uneven = _adjusted(tracks, times, scene, board, first.root, fixed)
     check_certainty(names, found, corners)
-    return _calibration(tracks, board, times, found, corners, first.root)
+    return _calibration(tracks, board, times, found, corners, uneven, first.root)
 
 
 def _adjusted(
     tracks: Sequence[Track], times: Float64, scene: AdjustedRig, board: Board, root: int, fixed: Bool
-) -> tuple[Adjusted, Observations]:
+) -> tuple[Adjusted, Observations, UnevenTimes]:
     names, sizes = [track.camera for track in tracks], [track.size for track in tracks]
     corners = observed(tracks, times, scene.offsets, board.corners)
     found = adjust(scene, corners, sizes, root, lenses_known=fixed)
     check_agreement(names, corners, found.misses)
     for _ in range(_ROUNDS):
         corners = observed(tracks, times, found.scene.offsets, board.corners)
-        at_start = misses_of(found.scene, corners)
+        misses = misses_of(found.scene, corners)
+        uneven = uneven_times(corners, misses, len(tracks))
+        at_start = uneven.weights(corners).of_misses(misses)
         corners = corners.kept(near_enough(at_start, spread(at_start)))
-        found = adjust(found.scene, corners, sizes, root, lenses_known=fixed)
-    return found, corners
+        found = adjust(found.scene, corners, sizes, root, lenses_known=fixed, uneven=uneven)
+    return found, corners, uneven
 
 
 def _calibration(
-    tracks: Sequence[Track], board: Board, times: Float64, found: Adjusted, corners: Observations, root: int
+    tracks: Sequence[Track],
+    board: Board,
+    times: Float64,
+    found: Adjusted,
+    corners: Observations,
+    uneven: UnevenTimes,
+    root: int,
 ) -> Calibration:
     scene = found.scene
     floor = find_floor(scene.cameras, scene.boards, times, board.centre)
@@ -131,10 +142,10 @@ def _calibration(
         check_lens(camera)
     centre = np.concatenate([np.zeros(3), board.centre])
     boards = rigid.after(floor.to_world, rigid.after(scene.boards, centre))[:, 3:]
-    errors = np.linalg.norm(found.camera_errors.reshape(-1, 2, 3), axis=2) * [np.degrees(1), 1]
+    errors = found.errors * [np.degrees(1), 1]
     periods = np.array([track.period for track in tracks])
     offsets = scene.offsets - scene.offsets[root]
     by_board = floor.by_board
     return Calibration(
-        tuple(cameras), root, offsets, periods, errors, by_board, times, boards, corners, found.misses
+        tuple(cameras), root, offsets, periods, errors, uneven.seconds, by_board, times, boards, corners, found.misses
     )  # fmt: skip

@@ -10,6 +10,7 @@ from streamlod.core.arrays import Float64, Int64
 
 MIN_CORNERS = 6  # of a picture that is used
 _STILL = 0.02  # of a period: so near to its picture's time, a corner without neighbours in time may be used
+_STRAIGHT = 0.1  # the same of one with a single neighbour, as boards do not move straight on
 _GAP = 2.5  # periods: pictures farther apart are no neighbours
 
 
@@ -61,8 +62,8 @@ class Track:
     def near(self, times: Float64) -> CornerCurve:
         """Curves of all corners near `times` [N], ascending, by the camera's clock.
 
-        A parabola goes through the nearest picture's corner and those before and after, a line where only one of these
-        is known. Where neither is, the corner is used only at its picture's time.
+        A parabola goes through the nearest picture's corner and those before and after. Where one of these is missing,
+        a line holds near the picture's time; where both are, the corner is used at its picture's time alone.
         """
         after = np.clip(np.searchsorted(self.times, times), 1, max(1, len(self.times) - 1))
         nearest = np.where(
@@ -81,8 +82,9 @@ class Track:
         line = np.where(np.isfinite(back), back, ahead)
         slope = np.where(np.isfinite(slope), slope, np.where(alone, 0.0, line))
         bend = np.where(np.isfinite(bend), bend, 0.0)
-        away = np.abs(times - self.times[nearest])
-        unusable = (away > self.period)[:, None, None] | (alone & (away > _STILL * self.period)[:, None, None])
+        away = (np.abs(times - self.times[nearest]) / self.period)[:, None, None]
+        reach = np.where(np.isfinite(back) & np.isfinite(ahead), 1.0, np.where(alone, _STILL, _STRAIGHT))
+        unusable = away > reach
         return CornerCurve(self.times[nearest], np.where(unusable, np.nan, here), slope, bend)
 
     def _neighbour(self, rows: Int64, step: int) -> tuple[Float64, Float64]:

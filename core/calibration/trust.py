@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from streamlod.core.arrays import Bool, Float64
+from streamlod.core.calibration.adjustment import rigid
 from streamlod.core.calibration.adjustment.adjust import Adjusted, Observations
 from streamlod.core.camera import Camera
 from streamlod.core.data.lens import undistorted_camera
@@ -60,18 +61,21 @@ def _most_of(off: Bool) -> int:
 def check_certainty(names: Sequence[str], adjusted: Adjusted, seen: Observations) -> None:
     """Raise InputError for a camera whose place does not follow from what it saw."""
     scene = adjusted.scene
+    away = scene.boards[:, 3:].mean(axis=0) - rigid.inverse(scene.cameras)[:, 3:]
+    metres = np.maximum(0.5, np.linalg.norm(away, axis=1))
+    bounds = np.stack([np.full(len(names), np.radians(_MAX_DEGREES)), _MAX_PART * metres], axis=1)
+    excess = (adjusted.errors / bounds).max(axis=1)
+    worst = int(excess.argmax())  # the rig's middle goes with it, and so others may seem uncertain too
+    if not excess[worst] <= 1:
+        radians, off = adjusted.errors[worst]
+        raise InputError(
+            f"camera {names[worst]}",
+            f"saw too little of the board: its place is uncertain by {1000 * off:.0f} mm and {np.degrees(radians):.2f} "
+            "degrees; walk the board through more of its picture, together with another camera",
+        )
     for number, name in enumerate(names):
         mine = seen.camera == number
-        degrees = float(np.degrees(np.linalg.norm(adjusted.camera_errors[number, :3])))
-        metres = float(np.linalg.norm(adjusted.camera_errors[number, 3:]))
         rms = float(np.sqrt((adjusted.misses[mine] ** 2).sum(axis=1).mean())) if mine.any() else np.inf
-        distance = max(0.5, float(np.linalg.norm(scene.boards[:, 3:].mean(axis=0) - scene.cameras[number, 3:])))
-        if not (degrees <= _MAX_DEGREES and metres <= _MAX_PART * distance):
-            raise InputError(
-                f"camera {name}",
-                f"saw too little of the board: its place is uncertain by {1000 * metres:.0f} mm and {degrees:.2f} "
-                "degrees; walk the board through more of its picture, together with another camera",
-            )
         if rms > _MAX_RMS:
             raise InputError(
                 f"camera {name}",

@@ -15,13 +15,15 @@ from scipy.sparse import csr_matrix, vstack
 
 from streamlod.core.arrays import Bool, Float64, Int64
 from streamlod.core.calibration.adjustment import rigid
+from streamlod.core.calibration.adjustment.certainty import standard_errors
 from streamlod.core.calibration.adjustment.minimise import minimise
 from streamlod.core.calibration.adjustment.projection import projected
+from streamlod.core.calibration.adjustment.timing import UnevenTimes
 from streamlod.core.calibration.adjustment.unfolded import unfolded_lenses
 from streamlod.core.calibration.track import Track
 
-_NOISE = 1.0  # pixels against which priors are weighed: corners of one picture err together, by blur and a bent board
-_ROBUST = 1.0  # pixels from which a corner counts less
+_NOISE = 0.5  # pixels against which priors are weighed: corners of one picture err together, by blur and a bent board
+_ROBUST, _FARTHEST = 2.0, 1.0  # times the noise, and pixels at most, from which a corner counts less
 _ASPECT = 5e-4  # of the focal lengths' deviation: 0.5 % between that across and that down
 _PER_CAMERA = 16  # lens 9, pose 6, offset 1
 
@@ -72,13 +74,13 @@ class Adjusted:
 
     Attributes:
         scene: the best one.
-        misses: [N,2] pixels of each observation.
-        camera_errors: [C,6] standard errors of the cameras' poses relative to the root's, radians and metres.
+        misses: [N,2] pixels of each observation, what uneven times explain left out.
+        errors: [C,2] standard errors of the cameras' directions and places in the rig, radians and metres.
     """
 
     scene: AdjustedRig
     misses: Float64
-    camera_errors: Float64
+    errors: Float64
 
 
 def observed(tracks: Sequence[Track], times: Float64, offsets: Float64, board: Float64) -> Observations:
@@ -101,6 +103,7 @@ def adjust(
     root: int,
     *,
     lenses_known: Bool | None = None,
+    uneven: UnevenTimes | None = None,
 ) -> Adjusted:
     """The scene that explains `seen` best, beginning at `scene`.
 
@@ -108,9 +111,12 @@ def adjust(
         sizes: (width, height) of each camera's pictures.
         root: camera that keeps its pose and clock.
         lenses_known: [C] cameras whose lenses stay; none by default.
+        uneven: what is known of the times of the pictures in `seen`; exact ones by default.
     """
     count = len(scene.cameras)
     start = _flat(scene)
+    uneven = uneven or UnevenTimes(np.zeros(count))
+    weights = uneven.weights(seen)
     free = np.ones(len(start), bool)
     by_camera = free[: count * _PER_CAMERA].reshape(count, _PER_CAMERA)
     if lenses_known is not None:
@@ -130,12 +136,12 @@ def adjust(
         whole = full(values)
         held = (whole[: count * _PER_CAMERA].reshape(count, -1)[:, :9] - mean) / deviation * _NOISE
         aspect = (whole[:first:_PER_CAMERA] - whole[1:first:_PER_CAMERA]) / (deviation[:, 0] * _ASPECT) * _NOISE
-        parts = misses_of(_scene(whole, count), seen), held, aspect, unfolded.misses(whole)
+        parts = weights.of_misses(misses_of(_scene(whole, count), seen)), held, aspect, unfolded.misses(whole)
         return np.concatenate([part.ravel() for part in parts])
 
     def slopes(values: Float64) -> csr_matrix:
         whole = full(values)
-        jacobian = _jacobian(_scene(whole, count), seen, len(start))
+        jacobian = weights.of_slopes(_jacobian(_scene(whole, count), seen, len(start)))
         rows = np.arange(count * 9)
         places = (np.arange(count)[:, None] * _PER_CAMERA + np.arange(9)).ravel()
         held = csr_matrix(((_NOISE / deviation).ravel(), (rows, places)), (len(rows), len(start)))
@@ -145,14 +151,20 @@ def adjust(
         aspect = csr_matrix((np.concatenate([weight, -weight]), (rows, places)), (count, len(start)))
         return vstack([jacobian, held, aspect, unfolded.slopes(whole)]).tocsr()[:, columns]
 
-    found = minimise(start[columns], residuals, slopes, _ROBUST, len(scene.boards))
+    scale = np.full(len(residuals(start[columns])), np.inf)  # of priors and bounds
+    scale[: 2 * len(seen.camera)] = min(_ROBUST * uneven.noise, _FARTHEST)
+    found = minimise(start[columns], residuals, slopes, scale, len(scene.boards))
     best = _scene(full(found.values), count)
-    misses = misses_of(best, seen)
-    places = np.searchsorted(columns, (np.arange(count)[:, None] * _PER_CAMERA + np.arange(9, 15)).ravel())
-    inside = np.repeat(np.arange(count) != root, 6)
-    errors = np.zeros(count * 6)
-    errors[inside] = np.sqrt(np.diag(found.covariance)[places[inside]]) * max(spread(misses), 0.05)
-    return Adjusted(best, misses, errors.reshape(count, 6))
+    misses = weights.of_misses(misses_of(best, seen))
+    places = (np.arange(count)[:, None] * _PER_CAMERA + np.arange(9, 15)).ravel()
+
+    def moved(moves: Float64) -> Float64:
+        """Moves [M,A] of the first free values as those of all poses [M,C,6]."""
+        whole = np.zeros((len(moves), len(start)))
+        whole[:, columns[: moves.shape[1]]] = moves
+        return whole[:, places].reshape(-1, count, 6)
+
+    return Adjusted(best, misses, standard_errors(best.cameras, found, max(spread(misses), 0.05), moved))
 
 
 def spread(misses: Float64) -> float:

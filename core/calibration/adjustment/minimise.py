@@ -18,7 +18,7 @@ from scipy.sparse import csr_matrix, diags
 from streamlod.core.arrays import Float64
 
 BLOCK = 6  # values of a board
-_MAX_ROUNDS = 50
+_MAX_ROUNDS = 100
 _SETTLED = 1e-7  # relative gain of a round
 _MAX_DAMPING = 1e8
 
@@ -29,26 +29,31 @@ class Minimum:
 
     Attributes:
         values: [P] where it lies.
-        covariance: [A,A] of the first values, where residuals have a variance of 1.
+        normal: the normal equations there.
+        residuals, weights: [R] what is left, and how much each counts.
+        slopes: [R,P] derivatives of the residuals.
     """
 
     values: Float64
-    covariance: Float64
+    normal: Normal
+    residuals: Float64
+    weights: Float64
+    slopes: csr_matrix
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Normal:
+class Normal:
     """J^T W J in blocks: first [A,A], mixed [A,I,6], boards [I,6,6]."""
 
     first: Float64
     mixed: Float64
     boards: Float64
 
-    def damped(self, damping: float) -> _Normal:
+    def damped(self, damping: float) -> Normal:
         """Larger diagonals by this part."""
         first = self.first + np.diag(damping * np.diag(self.first) + 1e-9)
         each = np.einsum("nii->ni", self.boards) * damping + 1e-9
-        return _Normal(first, self.mixed, self.boards + each[:, :, None] * np.eye(BLOCK))
+        return Normal(first, self.mixed, self.boards + each[:, :, None] * np.eye(BLOCK))
 
     def reduced(self) -> tuple[Float64, Float64]:
         """The Schur complement [A,A], and mixed boards^-1 [A,I,6]."""
@@ -70,14 +75,14 @@ def minimise(
     start: Float64,
     residuals: Callable[[Float64], Float64],
     jacobian: Callable[[Float64], csr_matrix],
-    scale: float,
+    scale: Float64,
     boards: int,
 ) -> Minimum:
     """The nearest minimum of the sum over residuals r of scale^2 (sqrt(1 + (r / scale)^2) - 1), the pseudo-Huber loss.
 
     Args:
         start: [P] values, at the end of which the boards stand, `BLOCK` each.
-        scale: residuals beyond it count by their size, not by its square.
+        scale: [R] residuals beyond it count by their size, not by its square; infinite where the square always counts.
     """
     values, damping, settled = start, 1e-4, 0
     rest, slopes = residuals(values), jacobian(values)
@@ -103,13 +108,12 @@ def minimise(
         if settled == 2:
             break
     normal, _ = _normal(slopes, rest, scale, boards)
-    covariance = np.linalg.inv(normal.damped(1e-12).reduced()[0])
-    return Minimum(values, np.asarray(covariance, np.float64))
+    return Minimum(values, normal, rest, _weights(rest, scale), slopes)
 
 
-def _normal(slopes: csr_matrix, rest: Float64, scale: float, boards: int) -> tuple[_Normal, Float64]:
+def _normal(slopes: csr_matrix, rest: Float64, scale: Float64, boards: int) -> tuple[Normal, Float64]:
     """J^T W J and J^T W r."""
-    weighted = diags(1 / np.sqrt(1 + (rest / scale) ** 2)) @ slopes
+    weighted = diags(_weights(rest, scale)) @ slopes
     count = slopes.shape[1] - boards * BLOCK
     first = slopes[:, :count].T @ weighted
     mixed = first[:, count:].toarray().reshape(count, boards, BLOCK)
@@ -117,8 +121,12 @@ def _normal(slopes: csr_matrix, rest: Float64, scale: float, boards: int) -> tup
     product = (own.T @ weighted[:, count:]).tocoo()
     blocks = np.zeros((boards, BLOCK, BLOCK))
     blocks[product.row // BLOCK, product.row % BLOCK, product.col % BLOCK] = product.data
-    return _Normal(first[:, :count].toarray(), mixed, blocks), weighted.T @ rest
+    return Normal(first[:, :count].toarray(), mixed, blocks), weighted.T @ rest
 
 
-def _cost(rest: Float64, scale: float) -> float:
-    return float((scale**2 * (np.sqrt(1 + (rest / scale) ** 2) - 1)).sum())
+def _weights(rest: Float64, scale: Float64) -> Float64:
+    return np.asarray(1 / np.sqrt(1 + (rest / scale) ** 2), np.float64)
+
+
+def _cost(rest: Float64, scale: Float64) -> float:
+    return float((rest**2 / (np.sqrt(1 + (rest / scale) ** 2) + 1)).sum())

@@ -18,7 +18,8 @@ _REACH = 1.5  # times the distorted radius of the corner: the radius within whic
 _RADII = 8
 _RISE = 0.15  # least slope
 _BEYOND = 1.05  # times the corner's radius
-_WEIGHT = 1e4  # pixels for each unit beyond a bound
+_WEIGHT = 300.0  # pixels for each unit beyond a bound
+_BEND = 0.03  # units beyond it in which that weight is reached: a search stops at a sharp edge
 _PLACES = (4, 5, 8)  # of k1, k2, k3 in a lens
 
 
@@ -35,12 +36,14 @@ class UnfoldedLenses:
 
     def misses(self, values: Float64) -> Float64:
         """[R] residuals of `values` [P]; 0 inside the bounds."""
-        return np.asarray(_WEIGHT * np.maximum(self.least - self.rows @ values, 0), np.float64)
+        beyond = np.maximum(self.least - self.rows @ values, 0)
+        return np.asarray(_WEIGHT * beyond**2 / (beyond + _BEND), np.float64)
 
     def slopes(self, values: Float64) -> csr_matrix:
         """[R,P] derivatives of the residuals."""
-        beyond = self.least - self.rows @ values > 0
-        return self.rows.multiply(np.where(beyond, -_WEIGHT, 0.0)[:, None]).tocsr()
+        beyond = np.maximum(self.least - self.rows @ values, 0)
+        growth = -_WEIGHT * beyond * (beyond + 2 * _BEND) / (beyond + _BEND) ** 2
+        return self.rows.multiply(growth[:, None]).tocsr()
 
 
 def unfolded_lenses(lenses: Float64, sizes: Sequence[tuple[int, int]], per_camera: int, width: int) -> UnfoldedLenses:

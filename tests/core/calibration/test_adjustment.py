@@ -61,6 +61,10 @@ def test_tracks_are_parabolas_between_pictures() -> None:
     wanted = np.array([0.13, 0.24])
     found = track.near(wanted).at(wanted)[:, 0, 0]
     np.testing.assert_allclose(found, 5 + 30 * wanted - 40 * wanted**2, atol=1e-9)
+    corners[3] = np.nan  # the corner at 0.2 s has one neighbour: a line holds near it alone
+    straight = track.near(np.array([0.205, 0.23]))
+    assert np.isfinite(straight.value[0]).all()
+    assert np.isnan(straight.value[1]).all()
     corners[[1, 3]] = np.nan  # the corner at 0.2 s stands alone: it counts at its picture's time only
     alone = track.near(np.array([0.2, 0.24]))
     assert np.isfinite(alone.value[0]).all()

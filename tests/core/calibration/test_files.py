@@ -33,9 +33,9 @@ def calibration(names: list[str], offsets: list[float], size: tuple[int, int]) -
     count, none = len(names), np.zeros(len(names), np.int64)
     seen = Observations(np.arange(count), none, none, np.zeros((count, 3)), *np.zeros((3, count, 2)), np.zeros(count))
     offset, periods = np.array(offsets), np.full(count, 0.1)
-    errors, places = np.zeros((count, 2)), np.zeros((0, 3))
+    errors, uneven, places = np.zeros((count, 2)), np.zeros(count), np.zeros((0, 3))
     misses = np.zeros((count, 2))
-    return Calibration(tuple(cameras), 0, offset, periods, errors, True, np.zeros(0), places, seen, misses)
+    return Calibration(tuple(cameras), 0, offset, periods, errors, uneven, True, np.zeros(0), places, seen, misses)
 
 
 def blinking(first: int, size: tuple[int, int]) -> list[np.ndarray]:

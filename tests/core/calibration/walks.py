@@ -83,13 +83,15 @@ def walked(
     offsets: Float64 | None = None,
     seed: int = 1,
     boards: Callable[[Float64], Float64] = board_at,
+    uneven: float = 0.0,
 ) -> list[Track]:
-    """Tracks of a walk; a camera's clock shows the common time less its offset."""
+    """Tracks of a walk; a camera's clock shows the common time less its offset, with errors of `uneven` seconds."""
     random = np.random.default_rng(seed)
     offsets = np.zeros(len(rig.names)) if offsets is None else offsets
     tracks = []
     for number, name in enumerate(rig.names):
         clock = np.arange(int(seconds * fps)) / fps
         corners = corners_of(rig.lenses[number], rig.poses[number], boards(clock + offsets[number]), rig.size)
-        tracks.append(Track(name, rig.size, clock, corners + random.normal(0, noise, corners.shape)))
+        stated = np.sort(clock + random.normal(0, uneven, len(clock))) if uneven else clock
+        tracks.append(Track(name, rig.size, stated, corners + random.normal(0, noise, corners.shape)))
     return tracks
