@@ -10,15 +10,8 @@ import numpy as np
 
 from streamlod.core.arrays import Bool, Float64
 from streamlod.core.calibration.adjustment import rigid
-from streamlod.core.calibration.adjustment.adjust import (
-    Adjusted,
-    AdjustedRig,
-    Observations,
-    adjust,
-    misses_of,
-    observed,
-    spread,
-)
+from streamlod.core.calibration.adjustment.adjust import Adjusted, AdjustedRig, adjust, misses_of, spread
+from streamlod.core.calibration.adjustment.observations import Observations, observed
 from streamlod.core.calibration.adjustment.projection import matrix_of
 from streamlod.core.calibration.adjustment.timing import UnevenTimes, uneven_times
 from streamlod.core.calibration.board.description import Board

@@ -8,7 +8,8 @@ import numpy as np
 
 from streamlod.core.arrays import Bool, Float64
 from streamlod.core.calibration.adjustment import rigid
-from streamlod.core.calibration.adjustment.adjust import Adjusted, Observations
+from streamlod.core.calibration.adjustment.adjust import Adjusted
+from streamlod.core.calibration.adjustment.observations import Observations
 from streamlod.core.camera import Camera
 from streamlod.core.data.lens import undistorted_camera
 from streamlod.core.errors import InputError

@@ -8,15 +8,12 @@ along the corners' motion counts as little as the times are uneven, picture by p
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 
 from streamlod.core.arrays import Float64, Int64
-
-if TYPE_CHECKING:
-    from streamlod.core.calibration.adjustment.adjust import Observations
+from streamlod.core.calibration.adjustment.observations import Observations
 
 _LEAST_NOISE = 0.05  # pixels
 _FAR = 5.0  # scatters, to which larger misses are cut

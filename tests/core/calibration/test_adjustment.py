@@ -7,6 +7,7 @@ import numpy as np
 
 from streamlod.core.calibration.adjustment import adjust as bundle
 from streamlod.core.calibration.adjustment import rigid
+from streamlod.core.calibration.adjustment.observations import observed
 from streamlod.core.calibration.adjustment.projection import matrix_of, projected
 from streamlod.core.calibration.adjustment.unfolded import unfolded_lenses
 from streamlod.core.calibration.track import Track
@@ -34,7 +35,7 @@ def test_jacobian_of_the_adjustment_is_that_of_its_residuals() -> None:
     truth, times = rig(2), np.array([1.02, 2.03, 3.01])
     tracks = walked(truth, seconds=5)
     scene = bundle.AdjustedRig(truth.lenses, truth.poses, np.array([0.01, -0.02]), board_at(times))
-    seen = bundle.observed(tracks, times, scene.offsets, BOARD.corners)
+    seen = observed(tracks, times, scene.offsets, BOARD.corners)
     flat = bundle._flat(scene)
     jacobian = bundle._jacobian(scene, seen, len(flat)).toarray()
     for place in range(len(flat)):

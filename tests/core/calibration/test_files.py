@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from streamlod.core.calibration.adjustment.adjust import Observations
+from streamlod.core.calibration.adjustment.observations import Observations
 from streamlod.core.calibration.files import RIG, check_folder, write_calibration
 from streamlod.core.calibration.solve import Calibration
 from streamlod.core.calibration.walk import open_walk

@@ -1,0 +1,49 @@
+"""Corners that an adjustment explains: each on its camera's curve near one instant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from streamlod.core.arrays import Bool, Float64, Int64
+from streamlod.core.calibration.track import Track
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observations:
+    """Corners that are explained, N of them.
+
+    Attributes:
+        camera, instant, corner: [N] numbers.
+        point: [N,3] of the board, metres.
+        value, slope, bend: [N,2] the camera's curve of the corner, see `track.CornerCurve`.
+        since: [N] seconds from the curve's picture to the instant, by the common time.
+    """
+
+    camera: Int64
+    instant: Int64
+    corner: Int64
+    point: Float64
+    value: Float64
+    slope: Float64
+    bend: Float64
+    since: Float64
+
+    def kept(self, rows: Bool) -> Observations:
+        """The part of a problem whose rows the mask `rows` [N] names."""
+        return Observations(*(getattr(self, name)[rows] for name in self.__slots__))
+
+
+def observed(tracks: Sequence[Track], times: Float64, offsets: Float64, board: Float64) -> Observations:
+    """The corners at the common `times` [I], on curves about the pictures that are nearest with these `offsets` [C]."""
+    parts = []
+    for number, (track, offset) in enumerate(zip(tracks, offsets, strict=True)):
+        curve = track.near(times - offset)
+        instant, corner = np.nonzero(np.isfinite(curve.value[..., 0]))
+        camera = np.full(len(instant), number)
+        since = (times - curve.picture_time)[instant]
+        rows = [values[instant, corner] for values in (curve.value, curve.slope, curve.bend)]
+        parts.append((camera, instant, corner, board[corner], *rows, since))
+    return Observations(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
