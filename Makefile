@@ -2,8 +2,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-# as a module: processes that tests spawn would load pytest again with its script
-PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --processes auto
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest --dist loadfile --no-loadscope-reorder
 
 # Waiting threads must sleep: spinning ones cost a factor of three on shared cores (core/runtime.py)
 export OMP_WAIT_POLICY = PASSIVE
@@ -32,14 +31,14 @@ demo: install ## Train a synthetic clip live, serve it, watch it; leaves demo-ou
 	$(BIN)/streamlod demo
 
 test: install ## Run the tests that take less than three seconds or so each and need no browser
-	$(PYTEST)
+	$(PYTEST) -n auto
 
 test-all: install ## ruff, mypy and all tests: also long ones, those in Chromium, and those of several servers
 	$(MAKE) --jobs=2 lint tests
 
 # mypy has one process, and tests often wait
 tests: install
-	$(PYTEST) -m 'not slow'
+	$(PYTEST) -n auto -m 'not slow'
 
 api: install ## Print docs/reference/api.md from the docstrings of the public interface
 	$(BIN)/python -m tests.api_pages

@@ -13,12 +13,16 @@ from tests.device import pretend
 from tests.device.fixture import gpu
 
 __all__ = ["gpu"]
-pytest_plugins = ["tests.processes"]
 
 DEAR = ("browser", "cluster", "long")
 
 if pretend.can_be_registered():
     pretend.register()  # torch counts its devices when it first differentiates, so it must be there before that
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """Processes for ``-n auto``: two more than there are cores, since tests of servers and of the page often wait."""
+    return len(os.sched_getaffinity(0)) + 2
 
 
 @pytest.hookimpl(trylast=True)  # after those that are not wanted have gone
