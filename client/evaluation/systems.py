@@ -131,14 +131,13 @@ class FirstFrames:
 def with_steps(scene: Scene, old: PredictConfig, new: PredictConfig) -> Scene:
     """A keyframe whose residuals are to be coded in the steps of `new`; the picture is the same."""
     header, weights = scene.header, scene.weights
-    cell = header.octree.motion_cell
-    positions = np.full(header.octree.levels, cell / new.position_steps_per_cell, np.float32)
+    finer = np.float32(new.position_steps_per_cell / old.position_steps_per_cell)
     feature = np.float32(new.feature_step / old.feature_step) * weights.feature_decoder
     offset = np.float32(new.offset_step / old.offset_step) * weights.offset_decoder
     sendable = [decoder.astype(np.float16).astype(np.float32) for decoder in (feature, offset)]
     return replace(
         scene,
-        header=replace(header, position_steps=positions),
+        header=replace(header, position_steps=header.position_steps / finer),
         weights=replace(weights, feature_decoder=sendable[0], offset_decoder=sendable[1]),
     )
 

@@ -16,6 +16,7 @@ from streamlod.core.arrays import Float32, Float64, Int32, Int64, check_array
 MAX_LEVELS = 16
 _MOTION_LEVELS = 3  # the level whose cells measure motion, counted from the finest one
 _MORTON_BITS = 21  # a coordinate takes 21 bits of a 63-bit key
+MORTON_REACH = 1 << _MORTON_BITS  # cells along an axis
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,10 +46,10 @@ class Octree:
 
     @property
     def motion_cell(self) -> float:
-        """Width of the cells that motion is measured in, in world units: those of the third finest level.
+        """Width of the cells that motion is measured in where anchors grow in this octree, in world units.
 
-        The cells of level 0 suit what is farthest. In a garden under a sky, a 32nd of them is more than a pixel of what
-        moves near the cameras.
+        They are those of the third finest level. The cells of level 0 suit what is farthest: in a garden under a sky, a
+        32nd of them is more than a pixel of what moves near the cameras.
         """
         return self.cell(max(self.levels - _MOTION_LEVELS, 0))
 
@@ -56,9 +57,18 @@ class Octree:
         """[N,3] int32 nearest grid node of world `positions` [N,3]; `node_of` goes back."""
         return np.round((positions - self.origin) / self.cell(level)).astype(np.int32)
 
+    def voxels_of(self, positions: Float64, levels: Int64) -> Int32:
+        """[N,3] int32 nearest grid node of each of world `positions` [N,3], on its own of `levels` [N]."""
+        return np.round((positions - self.origin) / (self.root_cell / 2.0 ** levels[:, None])).astype(np.int32)
+
     def node_of(self, voxels: Int32, level: int) -> Float64:
         """[N,3] float64 world position of grid nodes `voxels` [N,3]."""
         return self.origin + voxels * self.cell(level)
+
+
+def narrowest_cell(motion_cell: float) -> float:
+    """Width of the narrowest cells in which anchors grow where motion is measured in cells of `motion_cell`."""
+    return motion_cell / 2.0 ** (_MOTION_LEVELS - 1)
 
 
 def level_for_distance(distance: Float64, reference_distance: float, extra: Float64, highest: int) -> Int64:
@@ -80,7 +90,7 @@ def morton_key(voxels: Int32) -> Int64:
     if len(voxels) == 0:
         return np.zeros(0, np.int64)
     relative = voxels.astype(np.int64) - voxels.min(axis=0).astype(np.int64)
-    if relative.max() >= 1 << _MORTON_BITS:
+    if relative.max() >= MORTON_REACH:
         raise ValueError(f"voxels span {int(relative.max()) + 1} cells, more than 2^{_MORTON_BITS}")
     spread = _spread_bits(relative)
     return (spread[:, 0] << 2) | (spread[:, 1] << 1) | spread[:, 2]

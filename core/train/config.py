@@ -133,7 +133,7 @@ class KeyframeConfig:
     )
     level_cap_share: float = setting(
         0.15,
-        "share of steps before `average_from` that draw only levels up to a random one",
+        "share of steps from `growth_until` to `average_from` that draw only levels up to a random one",
         reading(0.0, "not mentioned: no step hides fine levels at random"),
     )
     level_cap_weight: float = setting(
@@ -153,7 +153,7 @@ class KeyframeConfig:
         0.65, "moment until which they do", octree_gs(0.625, "refinement ends after 25,000 of its 40,000 steps")
     )
     growth_threshold: float = setting(
-        2e-4,
+        2.3e-4,
         "view-space gradient norm from which anchors are added",
         octree_gs(2e-4, "its threshold of the gradient norm"),
     )

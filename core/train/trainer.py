@@ -22,10 +22,8 @@ from streamlod.core.train.config import TrainConfig
 from streamlod.core.train.control.frame_budget import FixedSteps, FrameBudget, FrameProgress
 from streamlod.core.train.control.rate_control import RateControl
 from streamlod.core.train.field.convert import scene_of
-from streamlod.core.train.field.exposure import Exposure, exposure_of, fitted, neutral
-from streamlod.core.train.field.field import Field
+from streamlod.core.train.field.exposure import exposure_of, fitted, neutral
 from streamlod.core.train.field.rendered import rendered
-from streamlod.core.train.field.rounding import Precision
 from streamlod.core.train.growth.near_space import near_space
 from streamlod.core.train.keyframe.seeding import seed_field
 from streamlod.core.train.keyframe.trainer import KeyframeTrainer
@@ -108,7 +106,7 @@ class Trainer:
             trainer = KeyframeTrainer(field, views, self._config, self._backend, space=space)
 
         def preview() -> Scene:
-            return self._scene_of(trainer.field, frames.index, trainer.precision, trainer.exposure)
+            return self._scene_of(trainer, frames.index)
 
         with watch.stage("train"):
             losses = _run(trainer, "first frame", on_progress, preview)
@@ -146,10 +144,11 @@ class Trainer:
         with watch.stage("refresh"):
             field = state.field.with_rows(torch.nonzero(state.alive)[:, 0])
             config = refresh_config(self._config, field, state.scene.version)
-            trainer = KeyframeTrainer(field, views, config, self._backend, self._exposure)
+            cell = float(state.scene.header.position_steps[0]) * self._config.predict.position_steps_per_cell
+            trainer = KeyframeTrainer(field, views, config, self._backend, self._exposure, motion_cell=cell)
             losses = _run(trainer, "keyframe", on_progress)
             self._exposure = trainer.exposure
-            scene = self._scene_of(trainer.field, state.scene.version, trainer.precision, self._exposure)
+            scene = self._scene_of(trainer, state.scene.version)
             references = torch.full_like(views.targets, torch.nan) if state.references is None else state.references
             fresh = replace(self._fresh(scene, references), filmed=references if state.filmed is None else state.filmed)
             self._state = as_filmed(fresh, views, views.usable)
@@ -256,12 +255,13 @@ class Trainer:
             raise ModelError(f"frame {frames.index} has no picture from any camera")
         return Views(self._cameras, self._uploader.take(frames), usable)
 
-    def _scene_of(self, field: Field, version: int, precision: Precision, exposure: Exposure) -> Scene:
-        scene = scene_of(field, self._config.predict, self._rig, self._fps, version, precision)
+    def _scene_of(self, trainer: KeyframeTrainer, version: int) -> Scene:
+        precision, cell = trainer.precision, trainer.motion_cell
+        scene = scene_of(trainer.field, self._config.predict, self._rig, self._fps, version, precision, cell)
         if not self._config.model.exposure:
             return scene
         names = (camera.name for camera in self._cameras)
-        known = dict(zip(names, exposure.of_cameras(), strict=True))
+        known = dict(zip(names, trainer.exposure.of_cameras(), strict=True))
         told = tuple(known.get(camera.name, NEUTRAL) for camera in self._rig)  # some of the rig's may not train
         return replace(scene, metadata=Metadata(exposures=told))
 

@@ -33,9 +33,15 @@ def scene_of(
     fps: float,
     version: int,
     precision: Precision | None = None,
+    motion_cell: float | None = None,
 ) -> Scene:
-    """A keyframe: the field rounded as it will be sent, to `precision` or the usual one."""
+    """A keyframe: the field rounded as it will be sent, to `precision` or the usual one.
+
+    Args:
+        motion_cell: width of the cells that motion is measured in, in world units; by default the octree's.
+    """
     precision = precision or usual_precision(field, 0)
+    cell = field.octree.motion_cell if motion_cell is None else motion_cell
     field = precision.sent(field)
     slots = field.slots
     header = SceneHeader(
@@ -43,9 +49,7 @@ def scene_of(
         gaussians_per_anchor=slots,
         view_dependent=field.view_dependent,
         reference_distance=field.reference_distance,
-        position_steps=np.full(
-            field.octree.levels, field.octree.motion_cell / predict.position_steps_per_cell, np.float32
-        ),
+        position_steps=np.full(field.octree.levels, cell / predict.position_steps_per_cell, np.float32),
         feature_steps=_array(precision.feature),
         offset_steps=_array(precision.offset.flatten()),
         scaling_steps=_array(precision.scaling),

@@ -80,6 +80,11 @@ class LearnedField:
         self._optimiser.replace_rows(kept, {name: added[name] for name in ROW_PARAMETERS})
         self._grid = grid.with_rows(kept).with_appended(added)
 
+    def regroup(self, grid: Field) -> None:
+        """Go on with the same anchors on the octree, levels, nodes and places of `grid`."""
+        octree, level, voxel, position = grid.octree, grid.level, grid.voxel, grid.position
+        self._grid = replace(self._grid, octree=octree, level=level, voxel=voxel, position=position)
+
     def shallower(self, levels: int) -> None:
         """Give up all but the coarsest `levels`."""
         self.keep(torch.nonzero(self._grid.level < levels)[:, 0])

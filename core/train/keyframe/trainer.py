@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from streamlod.core.render.backends import Backend
+from streamlod.core.scene.octree import narrowest_cell
 from streamlod.core.train.config import KeyframeConfig, TrainConfig
 from streamlod.core.train.field.decode import Network, Splats, decode
 from streamlod.core.train.field.exposure import Exposure, neutral
@@ -21,6 +22,7 @@ from streamlod.core.train.growth.rules import GradientGrowth
 from streamlod.core.train.keyframe.drawing import ViewLoss
 from streamlod.core.train.keyframe.effect import anchor_effects, dispensable
 from streamlod.core.train.keyframe.levels import CoarseRows, needed_levels
+from streamlod.core.train.keyframe.order import LEVELS, in_order_of_effect
 from streamlod.core.train.keyframe.precision import sensitivity, signed_gradients, tuned_precision
 from streamlod.core.train.keyframe.relative_error import RelativeErrors
 from streamlod.core.train.keyframe.support import price_share, support, view_support
@@ -41,6 +43,7 @@ class KeyframeTrainer:
         backend: of the rasteriser.
         exposure: of the cameras, to begin with; neutral by default.
         space: before the cameras, where nothing may stay; None where it is not known.
+        motion_cell: width of the cells that motion is measured in, in world units; those of the field by default.
     """
 
     def __init__(
@@ -51,6 +54,7 @@ class KeyframeTrainer:
         backend: Backend,
         exposure: Exposure | None = None,
         space: NearSpace | None = None,
+        motion_cell: float | None = None,
     ) -> None:
         self._config, self._model = _at_contrast(config.keyframe, views.contrast), config.model
         device = field.feature.device
@@ -66,7 +70,7 @@ class KeyframeTrainer:
         settings = self._config
         self._growth = GradientGrowth(settings.growth_threshold, settings.prune_opacity, settings.extra_level_gain)
         self._begin_with_anchors(field)
-        self._highest = field.octree.levels - 1
+        self._motion_cell = field.octree.motion_cell if motion_cell is None else motion_cell
         self._precision: Precision | None = None
         self._space = space
         self._steps = 0
@@ -88,6 +92,11 @@ class KeyframeTrainer:
     def exposure(self) -> Exposure:
         """Gains and offsets fitted so far."""
         return self._exposure.frozen()
+
+    @property
+    def motion_cell(self) -> float:
+        """Width of the cells that motion is measured in, in world units."""
+        return self._motion_cell
 
     @property
     def progress(self) -> float:
@@ -135,7 +144,7 @@ class KeyframeTrainer:
             self._begin_with_anchors(self._learned.live)
         if progress < config.growth_until <= self.progress:
             self._drop_idle_levels()
-            self._drop_dispensable()
+            self._order_by_effect()
         return loss.detach()
 
     def _views_at(self, progress: float) -> Views:
@@ -152,7 +161,8 @@ class KeyframeTrainer:
 
         The last steps, of which the result is the mean, all train the whole one.
         """
-        share = self._config.level_cap_share if self.progress < self._config.average_from else 0.0
+        config = self._config
+        share = config.level_cap_share if config.growth_until <= self.progress < config.average_from else 0.0
         if torch.rand((), generator=self._chances).item() >= share or self._highest == 0:
             return None
         return int(torch.randint(0, self._highest, (), generator=self._chances))
@@ -193,10 +203,13 @@ class KeyframeTrainer:
         budget = self._config.rounding_share * len(usable)
         return tuned_precision(field, found, budget, lambda precision: len(usable) * added(precision))
 
-    def _drop_dispensable(self) -> None:
-        """Remove the anchors without which pictures look almost as they do: their bytes buy nothing."""
+    def _order_by_effect(self) -> None:
+        """Put anchors on levels by what they are worth; those without which pictures look almost as they do go.
+
+        The paper's levels are those of the octree, as are distances that call for them.
+        """
         share, field, usable = self._config.effect_share, self._learned.settled, self._whole.usable
-        if share <= 0:
+        if self._model.selection == "distance":
             return
         errors = RelativeErrors(self._view_loss, usable)
 
@@ -211,7 +224,12 @@ class KeyframeTrainer:
             return errors.added(lambda number: splats(number, present))
 
         effects = anchor_effects(len(field), draw, usable, self._steps, field.level.device)
-        self._learned.keep(torch.nonzero(~dispensable(effects, share, added))[:, 0])
+        if share > 0:
+            kept = torch.nonzero(~dispensable(effects, share, added))[:, 0]
+            self._learned.keep(kept)
+            effects = effects[kept]
+        cell = narrowest_cell(self._motion_cell)
+        self._learned.regroup(in_order_of_effect(self._learned.live, effects, cell, self._model.levels or LEVELS))
         self._begin_with_anchors(self._learned.live)
 
     def _drop_idle_levels(self) -> None:
@@ -233,6 +251,7 @@ class KeyframeTrainer:
         needed = needed_levels(field.octree.levels, loss)
         if needed < field.octree.levels:
             self._learned.shallower(needed)
+            self._motion_cell = self._learned.live.octree.motion_cell
             self._begin_with_anchors(self._learned.live)
 
     def _begin_with_anchors(self, field: Field) -> None:

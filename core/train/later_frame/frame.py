@@ -147,6 +147,7 @@ def _beginning(state: State, rows: Tensor, pictures: Comparison, coarse: Compari
         base=state.field.with_rows(rows),
         pictures=pictures,
         coarse=coarse,
+        motion_cell=float(state.scene.header.position_steps[0]) * config.predict.position_steps_per_cell,
         bit_price=config.predict.rate_weight,
         max_anchors=config.model.max_anchors,
         first_count=means.first_count,

@@ -26,6 +26,7 @@ class Beginning:
     Attributes:
         state: before the frame. rows: [n] numbers of its anchors that are trained; base: these as they were.
         pictures: of the instant. coarse: the same, at half the size where they are large.
+        motion_cell: width of the cells that motion is measured in, in world units.
         bit_price: configured weight of a bit in the loss, whatever rate control makes of it.
         max_anchors: that there may be; first_count: that the first frame had; max_new: that this frame may add.
     """
@@ -35,6 +36,7 @@ class Beginning:
     base: Field
     pictures: Comparison
     coarse: Comparison
+    motion_cell: float
     bit_price: float
     max_anchors: int
     first_count: int

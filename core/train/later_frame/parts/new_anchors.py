@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from streamlod.core.render.raster import Raster
+from streamlod.core.scene.octree import Octree, narrowest_cell
 from streamlod.core.train.growth.errors import ANCHOR_BITS, error_nodes, values_at
 from streamlod.core.train.later_frame.part import Beginning, FramePart, Hooks, Training
 from streamlod.core.train.setting import left_out, setting
@@ -67,7 +68,17 @@ class _Adding(Hooks):
     def _new(self) -> dict[str, Tensor]:
         """The seven arrays of the anchors to add."""
         seen = self._seen
+        octree = seen.state.field.octree
         living = seen.state.field.with_rows(torch.nonzero(seen.state.alive)[:, 0])
+        living = replace(living, octree=by_width(octree, seen.motion_cell))
         price = _ANCHOR_BIT * seen.bit_price * ANCHOR_BITS
         nodes = error_nodes(living, seen.pictures.views, self._drawn, seen.pictures.masks, self._most, price)
-        return values_at(living, nodes, torch.Generator().manual_seed(len(seen.rows)))
+        values = values_at(living, nodes, torch.Generator().manual_seed(len(seen.rows)))
+        voxel = torch.from_numpy(octree.voxels_of(nodes.position, nodes.level)).to(living.level.device)
+        return values | {"voxel": voxel}
+
+
+def by_width(octree: Octree, motion_cell: float) -> Octree:
+    """`octree` with levels whose cells are as wide as anchors that grow: what they are worth is not known yet."""
+    finest = octree.levels - 1
+    return replace(octree, root_cell=narrowest_cell(motion_cell) * 2.0**finest)

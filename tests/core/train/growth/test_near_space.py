@@ -106,7 +106,8 @@ def test_training_removes_what_hangs_before_a_lens(clearance: float) -> None:
     middle = unproject(lens, np.array([[48.0, 28.0], [50.0, 30.0]]), np.full(2, 0.3 * nearest))
     wrong = PointCloud(middle.astype(np.float32), np.ones((2, 3), np.float32))
     config = preset("live")
-    keyframe = replace(config.keyframe, steps=20, growth_interval=5, growth_from=0.1, clearance=clearance)
+    short = {"steps": 20, "growth_interval": 5, "growth_from": 0.1, "effect_share": 0.0, "prune_opacity": 0.0}
+    keyframe = replace(config.keyframe, clearance=clearance, **short)
     config = replace(config, keyframe=keyframe, model=replace(config.model, cell_pixels=4.0, finer_levels=1))
     scene = Trainer(clip.cameras, config, clip.fps, "cpu").keyframe(frame, merged(points, wrong)).scene
     anchors = np.concatenate([anchor_positions(scene.header, number, one) for number, one in enumerate(scene.levels)])

@@ -30,7 +30,8 @@ def beginning_of(
     base, count = state.field.with_rows(rows), state.scene.anchor_count
     references, filmed = (views.targets if seen is None else seen for seen in (state.references, state.filmed))
     pictures = Comparison(views, masks, references, filmed, state.shown)
-    return Beginning(state, rows, base, pictures, pictures, bit_price, PLENTY, count, max_new)
+    cell = state.field.octree.motion_cell
+    return Beginning(state, rows, base, pictures, pictures, cell, bit_price, PLENTY, count, max_new)
 
 
 def training_of(
