@@ -153,7 +153,7 @@ class KeyframeConfig:
         0.65, "moment until which they do", octree_gs(0.625, "refinement ends after 25,000 of its 40,000 steps")
     )
     growth_threshold: float = setting(
-        2.3e-4,
+        2.4e-4,
         "view-space gradient norm from which anchors are added",
         octree_gs(2e-4, "its threshold of the gradient norm"),
     )
@@ -163,7 +163,7 @@ class KeyframeConfig:
         given(0.05, "V-A", "an accumulated opacity below 0.05"),
     )
     effect_share: float = setting(
-        0.1,
+        0.12,
         "share of the squared error that may come when growth ends, as the anchors of least effect go: the others make"
         " up for them; 0: none go",
         reading(0.0, "not mentioned: anchors go by their opacity alone"),
