@@ -133,7 +133,7 @@ class KeyframeConfig:
     )
     level_cap_share: float = setting(
         0.15,
-        "share of steps from `growth_until` to `average_from` that draw only levels up to a random one",
+        "share of steps before `growth_until` that draw only levels up to a random one",
         reading(0.0, "not mentioned: no step hides fine levels at random"),
     )
     level_cap_weight: float = setting(
@@ -153,7 +153,7 @@ class KeyframeConfig:
         0.65, "moment until which they do", octree_gs(0.625, "refinement ends after 25,000 of its 40,000 steps")
     )
     growth_threshold: float = setting(
-        2.4e-4,
+        2e-4,
         "view-space gradient norm from which anchors are added",
         octree_gs(2e-4, "its threshold of the gradient norm"),
     )
@@ -163,7 +163,7 @@ class KeyframeConfig:
         given(0.05, "V-A", "an accumulated opacity below 0.05"),
     )
     effect_share: float = setting(
-        0.12,
+        0.1,
         "share of the squared error that may come when growth ends, as the anchors of least effect go: the others make"
         " up for them; 0: none go",
         reading(0.0, "not mentioned: anchors go by their opacity alone"),

@@ -159,10 +159,9 @@ class KeyframeTrainer:
     def _random_cap(self) -> int | None:
         """The finest level of a step that trains a coarser picture, or None for a step that trains the whole one.
 
-        The last steps, of which the result is the mean, all train the whole one.
+        Steps after growth all train the whole one: levels go by effect then.
         """
-        config = self._config
-        share = config.level_cap_share if config.growth_until <= self.progress < config.average_from else 0.0
+        share = self._config.level_cap_share if self.progress < self._config.growth_until else 0.0
         if torch.rand((), generator=self._chances).item() >= share or self._highest == 0:
             return None
         return int(torch.randint(0, self._highest, (), generator=self._chances))

@@ -120,7 +120,7 @@ def printed_wall(cameras: tuple[Camera, ...], period: float) -> np.ndarray:
 def test_a_plain_wall_gets_wider_cells_than_a_printed_one() -> None:
     """Levels of its octree go that carry nothing, and with them the narrowest cells, by which motion is measured."""
     cameras = ring(3)
-    config = short(preset("live"), 200, finer_levels=2, cell_pixels=8.0)
+    config = short(preset("live"), 200, finer_levels=3, cell_pixels=16.0)
     keyframe = replace(config.keyframe, level_cap_share=0.5, level_cap_weight=1.0)  # coarse levels learn to do alone
     config = replace(config, keyframe=keyframe)
     steps = []
