@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import struct
-import threading
 from collections.abc import Iterator
+from functools import partial
 from typing import Protocol
 
 import av
 import av.container
 import av.video.stream
 
-from streamlod.core.arrays import UInt8
 from streamlod.core.camera.grid import period_of
 from streamlod.core.data.video.decoding import played_pictures
 from streamlod.core.data.video.sound import decoded_sound, sound_of
@@ -26,7 +25,7 @@ from streamlod.server.ingest.cameras.reports import Reports, bytes_of, media_ns_
 from streamlod.server.ingest.cameras.source_thread import SourceThread
 from streamlod.server.ingest.sound.hearing import Hearing
 from streamlod.server.ingest.sync.clock import CaptureClock, CaptureTime, ClockSource, Sighting, read_timecode
-from streamlod.server.ingest.sync.picture import Picture
+from streamlod.server.ingest.sync.picture import Picture, one_at_a_time
 from streamlod.server.ingest.sync.timeline import Timeline
 
 
@@ -152,13 +151,8 @@ class Reader(SourceThread):
     def _deliver(self, frame: av.VideoFrame, found: CaptureTime) -> None:
         self._check_size(*upright_size(frame))
 
-        alone = threading.Lock()  # FFmpeg's conversion, which a frame holds, hangs when two threads enter it
-
-        def load() -> UInt8:
-            with alone:
-                return upright(frame)
-
         self._sequence += 1
+        load = one_at_a_time(partial(upright, frame))
         picture = Picture(self.camera, found.capture_ns, found.source, found.error_ns, self._sequence, self._size, load)
         self._sink.put(picture)
 

@@ -16,7 +16,7 @@ from streamlod.server.ingest.cameras.reader import max_pixels
 from streamlod.server.ingest.push.message import SOUND_CODECS, Codec, PushMessage
 from streamlod.server.ingest.push.sound import PushedSound
 from streamlod.server.ingest.sync.clock import CaptureClock, CaptureTime, ClockSource, Sighting
-from streamlod.server.ingest.sync.picture import Picture
+from streamlod.server.ingest.sync.picture import Picture, one_at_a_time
 
 
 class PushTarget(Protocol):
@@ -168,7 +168,7 @@ class Intake:
             def load(frame: av.VideoFrame = frame) -> UInt8:
                 return np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
 
-            self._put(message, size, frame.pts, found, load)
+            self._put(message, size, frame.pts, found, one_at_a_time(load))
 
     def _put(self, message: PushMessage, size: tuple[int, int], capture: int, found: CaptureTime, load: Any) -> None:
         source: ClockSource = found.source

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -36,3 +37,17 @@ class Picture:
     def image(self) -> UInt8:
         """[H,W,3] RGB."""
         return self.load()
+
+
+def one_at_a_time(load: Callable[[], UInt8]) -> Callable[[], UInt8]:
+    """`load` of a frame of FFmpeg for any thread: a frame holds its conversion, which hangs or crashes if two enter it.
+
+    A recording, the walk's watch and training may all want one picture at once.
+    """
+    alone = threading.Lock()
+
+    def guarded() -> UInt8:
+        with alone:
+            return load()
+
+    return guarded

@@ -39,6 +39,7 @@ from streamlod.server.ingest.push.message import (
 )
 from streamlod.server.ingest.push.relay import RelayedIntake, listening
 from streamlod.server.ingest.sync.clock import ClockSource
+from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import CameraState
 from tests.server.ingest.push.serving import relayed, serving_push
 from tests.server.ingest.rig import FPS, HEIGHT, WIDTH, burnt, number_of, write_definition
@@ -233,13 +234,56 @@ def test_a_damaged_picture_counts_as_missing(tmp_path: Path) -> None:
     assert [list(frame.present) for frame in live.got] == [[False, True]]
 
 
-def test_a_genlocked_rig_counts_by_frame_number_and_h264_decodes(live: Frames) -> None:
-    rig = live.dataset.rig
-    assert rig is not None
+def h264_encoder() -> av.VideoCodecContext:
     encoder = av.CodecContext.create("libx264", "w")
     assert isinstance(encoder, av.VideoCodecContext)
     encoder.width, encoder.height, encoder.pix_fmt, encoder.framerate = WIDTH, HEIGHT, "yuv420p", Fraction(FPS)
     encoder.options = {"tune": "zerolatency", "preset": "ultrafast"}
+    return encoder
+
+
+class Keeping:
+    """A rig that keeps the pictures that it is given."""
+
+    def __init__(self, rig: Any) -> None:
+        self._rig, self.pictures = rig, list[Picture]()
+
+    def put(self, picture: Picture) -> None:
+        self.pictures.append(picture)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._rig, name)
+
+
+def test_several_threads_may_load_one_picture_of_a_phone(live: Frames) -> None:
+    """A walk is recorded and watched at once; FFmpeg's conversion of one frame by two threads hangs or crashes."""
+    encoder, keeping = h264_encoder(), Keeping(live.dataset.rig)
+    rig: Any = keeping
+    intake = Intake(rig)
+    for k in range(4):
+        (packet,) = encoder.encode(av.VideoFrame.from_ndarray(burnt(k), format="rgb24"))
+        intake.accept(PushMessage("cam0", k, None, Codec.H264, bytes(packet)))
+    assert len(keeping.pictures) == 4
+    together = threading.Barrier(2)
+
+    def load() -> None:
+        for picture in keeping.pictures:
+            for _ in range(200):
+                together.wait(60)
+                picture.load()
+
+    threads = [threading.Thread(target=load, daemon=True) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert not any(thread.is_alive() for thread in threads)
+
+
+def test_a_genlocked_rig_counts_by_frame_number_and_h264_decodes(live: Frames) -> None:
+    rig = live.dataset.rig
+    assert rig is not None
+    encoder = h264_encoder()
     intakes = [Intake(rig), Intake(rig)]
     for k in range(100, 110):
         (packet,) = encoder.encode(av.VideoFrame.from_ndarray(burnt(k), format="rgb24"))
