@@ -66,6 +66,7 @@ def test_never_all_of_them_go(effects: Tensor) -> None:
     assert int(gone.sum()) == max(len(effects) - 1, 0)
 
 
+@pytest.mark.long
 def test_anchors_that_a_wall_hides_are_not_sent() -> None:
     cameras = ring(3)
     pictures, visible, hidden = printed_wall(cameras, 1.2), wall(300), wall(300, seed=1)

@@ -90,6 +90,7 @@ def test_a_scene_that_reaches_far_has_fewer_levels() -> None:
     assert ordered(replace(field, position=field.position * 2.0**25)).octree.levels == 1
 
 
+@pytest.mark.long
 def test_coarse_levels_show_more_than_as_many_other_anchors() -> None:
     cameras = ring(3)
     pictures, points = printed_wall(cameras, 0.6), wall(300)
