@@ -53,13 +53,10 @@ class Octree:
         """
         return self.cell(max(self.levels - _MOTION_LEVELS, 0))
 
-    def voxel_of(self, positions: Float32 | Float64, level: int) -> Int32:
-        """[N,3] int32 nearest grid node of world `positions` [N,3]; `node_of` goes back."""
-        return np.round((positions - self.origin) / self.cell(level)).astype(np.int32)
-
-    def voxels_of(self, positions: Float64, levels: Int64) -> Int32:
-        """[N,3] int32 nearest grid node of each of world `positions` [N,3], on its own of `levels` [N]."""
-        return np.round((positions - self.origin) / (self.root_cell / 2.0 ** levels[:, None])).astype(np.int32)
+    def voxel_of(self, positions: Float32 | Float64, level: int | Int64) -> Int32:
+        """[N,3] int32 nearest grid node of world `positions` [N,3], on one level or on [N]; `node_of` goes back."""
+        cell = np.reshape(self.root_cell / 2.0 ** np.asarray(level), (-1, 1))
+        return np.round((positions - self.origin) / cell).astype(np.int32)
 
     def node_of(self, voxels: Int32, level: int) -> Float64:
         """[N,3] float64 world position of grid nodes `voxels` [N,3]."""

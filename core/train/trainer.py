@@ -21,7 +21,7 @@ from streamlod.core.scene.metadata import Metadata
 from streamlod.core.train.config import TrainConfig
 from streamlod.core.train.control.frame_budget import FixedSteps, FrameBudget, FrameProgress
 from streamlod.core.train.control.rate_control import RateControl
-from streamlod.core.train.field.convert import scene_of
+from streamlod.core.train.field.convert import motion_cell_of, scene_of
 from streamlod.core.train.field.exposure import exposure_of, fitted, neutral
 from streamlod.core.train.field.rendered import rendered
 from streamlod.core.train.growth.near_space import near_space
@@ -144,7 +144,7 @@ class Trainer:
         with watch.stage("refresh"):
             field = state.field.with_rows(torch.nonzero(state.alive)[:, 0])
             config = refresh_config(self._config, field, state.scene.version)
-            cell = float(state.scene.header.position_steps[0]) * self._config.predict.position_steps_per_cell
+            cell = motion_cell_of(state.scene, self._config.predict)
             trainer = KeyframeTrainer(field, views, config, self._backend, self._exposure, motion_cell=cell)
             losses = _run(trainer, "keyframe", on_progress)
             self._exposure = trainer.exposure

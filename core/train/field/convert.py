@@ -71,6 +71,11 @@ def scene_of(
     return Scene(header, weights, levels, keyframe=version, version=version, identifier=new_identifier())
 
 
+def motion_cell_of(scene: Scene, predict: PredictConfig) -> float:
+    """Width of the cells that motion is measured in, in world units, of a scene by `scene_of`."""
+    return float(scene.header.position_steps[0]) * predict.position_steps_per_cell
+
+
 def field_of(scene: Scene) -> Field:
     """All rows of `scene`, dead ones too, levels one after another, dequantised by the decoder's own arithmetic."""
     header, weights = scene.header, scene.weights

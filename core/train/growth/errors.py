@@ -116,7 +116,7 @@ def _nodes(field: Field, position: Float64, width: Float64) -> Int64:
     """[n,4] level and voxel of the node nearest to each position, on the level whose cells are about `width` [n]."""
     wanted = np.round(np.log2(field.octree.root_cell / width))
     level = np.clip(wanted, 0, field.octree.levels - 1).astype(np.int64)
-    return np.concatenate([level[:, None], field.octree.voxels_of(position, level)], axis=1)
+    return np.concatenate([level[:, None], field.octree.voxel_of(position, level)], axis=1)
 
 
 def _means(values: Float64, group: Int64, groups: int) -> Float64:

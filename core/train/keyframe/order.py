@@ -36,7 +36,7 @@ def in_order_of_effect(field: Field, effects: Tensor, cell: float, levels: int =
         levels -= 1
     level = _levels(effects.cpu().numpy(), levels)
     octree = Octree(field.octree.origin, cell, levels)
-    voxel = octree.voxels_of(place, level)
+    voxel = octree.voxel_of(place, level)
     for number in range(levels):
         here = np.flatnonzero(level == number)
         nodes = _free_nodes(voxel[here], number)

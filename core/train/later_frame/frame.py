@@ -19,6 +19,7 @@ from streamlod.core.scene.residual import Residual, apply
 from streamlod.core.train.config import PartSettings, PredictConfig, TrainConfig
 from streamlod.core.train.control.frame_budget import FrameProgress
 from streamlod.core.train.control.rate_control import RatePlan
+from streamlod.core.train.field.convert import motion_cell_of
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.later_frame.active_tiles import BORDER, mostly_active, tiles_near
 from streamlod.core.train.later_frame.comparison import Comparison
@@ -147,7 +148,7 @@ def _beginning(state: State, rows: Tensor, pictures: Comparison, coarse: Compari
         base=state.field.with_rows(rows),
         pictures=pictures,
         coarse=coarse,
-        motion_cell=float(state.scene.header.position_steps[0]) * config.predict.position_steps_per_cell,
+        motion_cell=motion_cell_of(state.scene, config.predict),
         bit_price=config.predict.rate_weight,
         max_anchors=config.model.max_anchors,
         first_count=means.first_count,

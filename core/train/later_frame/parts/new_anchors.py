@@ -74,7 +74,7 @@ class _Adding(Hooks):
         price = _ANCHOR_BIT * seen.bit_price * ANCHOR_BITS
         nodes = error_nodes(living, seen.pictures.views, self._drawn, seen.pictures.masks, self._most, price)
         values = values_at(living, nodes, torch.Generator().manual_seed(len(seen.rows)))
-        voxel = torch.from_numpy(octree.voxels_of(nodes.position, nodes.level)).to(living.level.device)
+        voxel = torch.from_numpy(octree.voxel_of(nodes.position, nodes.level)).to(living.level.device)
         return values | {"voxel": voxel}
 
 

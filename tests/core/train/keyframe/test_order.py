@@ -20,6 +20,7 @@ from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import field_of, scene_of
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.keyframe.order import LEVELS, in_order_of_effect
+from streamlod.core.train.later_frame.parts.new_anchors import by_width
 from tests.core.train.fields import random_field
 from tests.core.train.keyframe.test_first_frame import frames, printed_wall, ring, short, wall
 
@@ -88,6 +89,15 @@ def test_a_scene_that_reaches_far_has_fewer_levels() -> None:
     assert after.octree.levels == 3
     encode_keyframe(sent(after), time_ns=0)
     assert ordered(replace(field, position=field.position * 2.0**25)).octree.levels == 1
+
+
+def test_anchors_of_later_frames_are_as_wide_as_without_an_order() -> None:
+    field = random_field(400, levels=4)
+    octree, cell = field.octree, field.octree.cell(3)
+    assert by_width(octree, octree.motion_cell).root_cell == octree.root_cell
+    after = in_order_of_effect(field, torch.arange(400.0), cell)
+    sizes = by_width(after.octree, octree.motion_cell)
+    assert [sizes.cell(level) for level in range(1, LEVELS)] == [octree.cell(level) for level in range(4)]
 
 
 @pytest.mark.long

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import threading
 import time
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from streamlod.server.ingest.sync.timeline import Timeline
 from tests.attack.test_http_cameras import Faults
 from tests.core.data.writers import write_video
 from tests.server.ingest.rig import HEIGHT, WIDTH, burnt
+from tests.server.ingest.together import load_together
 from tests.server.ports import free_ports
 
 LOADS = 200  # of a picture: without a lock every run hung or crashed
@@ -60,18 +60,5 @@ def test_several_threads_may_load_one_picture(tmp_path: Path) -> None:
     reader = Reader("cam0", address, (WIDTH, HEIGHT), 10.0, sink, Timeline(), anchor_ns=0, paced=False)
     reader.start()
     reader.join(60)
-    together = threading.Barrier(2)
-
-    def load() -> None:
-        for picture in sink.pictures:
-            for _ in range(LOADS):
-                together.wait(60)
-                picture.load()
-
-    threads = [threading.Thread(target=load, daemon=True) for _ in range(2)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(60)
     assert len(sink.pictures) == 4
-    assert not any(thread.is_alive() for thread in threads)
+    assert load_together(sink.pictures, LOADS)

@@ -43,6 +43,7 @@ from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import CameraState
 from tests.server.ingest.push.serving import relayed, serving_push
 from tests.server.ingest.rig import FPS, HEIGHT, WIDTH, burnt, number_of, write_definition
+from tests.server.ingest.together import load_together
 
 
 def encoded(number: int, suffix: str = ".png") -> bytes:
@@ -264,20 +265,7 @@ def test_several_threads_may_load_one_picture_of_a_phone(live: Frames) -> None:
         (packet,) = encoder.encode(av.VideoFrame.from_ndarray(burnt(k), format="rgb24"))
         intake.accept(PushMessage("cam0", k, None, Codec.H264, bytes(packet)))
     assert len(keeping.pictures) == 4
-    together = threading.Barrier(2)
-
-    def load() -> None:
-        for picture in keeping.pictures:
-            for _ in range(200):
-                together.wait(60)
-                picture.load()
-
-    threads = [threading.Thread(target=load, daemon=True) for _ in range(2)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(60)
-    assert not any(thread.is_alive() for thread in threads)
+    assert load_together(keeping.pictures, 200)
 
 
 def test_a_genlocked_rig_counts_by_frame_number_and_h264_decodes(live: Frames) -> None:
