@@ -9,7 +9,6 @@ from streamlod.core.synthetic.clip import open_synthetic, read_spec, write_clip
 from streamlod.core.synthetic.render import (
     GroundTruth,
     ground_truth,
-    is_dynamic,
     moving_surface,
     render_image,
     render_view,
@@ -22,7 +21,6 @@ __all__ = [
     "SyntheticSpec",
     "cameras",
     "ground_truth",
-    "is_dynamic",
     "moving_surface",
     "open_synthetic",
     "read_spec",

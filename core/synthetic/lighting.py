@@ -375,18 +375,3 @@ def touched(
                 out[m] |= gap < (bound + reach[m] + t * lamps.radius[k]) ** 2
             if out[m]:
                 break
-
-
-@_jit
-def distances(points: Float64, parts: SolidParts, p: int, out: Float64) -> None:
-    """Signed distance [N] in metres from world `points` [N,3] to part `p`."""
-    size = parts.size[p]
-    for i in range(len(points)):
-        x, y, z = to_local(
-            parts,
-            p,
-            points[i, 0] - parts.translation[p, 0],
-            points[i, 1] - parts.translation[p, 1],
-            points[i, 2] - parts.translation[p, 2],
-        )
-        out[i] = _distance(parts.kind[p], size[0], size[1], size[2], x, y, z)

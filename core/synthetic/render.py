@@ -16,7 +16,7 @@ from streamlod.core.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.synthetic.casting import balls_round, cast, cones_round
 from streamlod.core.synthetic.kind import Kind
-from streamlod.core.synthetic.lighting import AIR, distances, light, touched
+from streamlod.core.synthetic.lighting import AIR, light, touched
 from streamlod.core.synthetic.parts import SceneArrays, assemble
 from streamlod.core.synthetic.shapes import FAR
 from streamlod.core.synthetic.spec import SyntheticSpec, cameras, exposures
@@ -147,27 +147,6 @@ def develop(radiance: Float64, spec: SyntheticSpec, index: int, camera_index: in
         generator = np.random.default_rng([spec.seed, camera_index, index])
         levels += spec.noise * generator.standard_normal(levels.shape, dtype=np.float32)
     return np.asarray(np.clip(np.round(levels), 0, 255), np.uint8)
-
-
-def is_dynamic(spec: SyntheticSpec, points: Float32 | Float64, index: int, *, tolerance: float = 0.03) -> Bool:
-    """[N] bool: which world `points` [N,3] lie within `tolerance` metres of a surface that moves up to `index`.
-
-    Both ends of the step count: where a moving surface is at frame `index`, and where it was at `index` - 1. Nothing
-    moves in the step to frame 0.
-    """
-    _check(spec, index)
-    found = np.zeros(len(points), np.bool_)
-    if index == 0:
-        return found
-    positions = np.ascontiguousarray(points, np.float64)
-    now, before = scene_at(spec, index), scene_at(spec, index - 1)
-    away = np.empty(len(positions))
-    for part in np.flatnonzero(_changed(now, before)).tolist():
-        for here, there in ((now, before), (before, now)):
-            distances(positions, here.solid, part, away)
-            near = np.flatnonzero(np.abs(away) < tolerance)
-            found[near] |= np.linalg.norm(_carry(positions[near], part, here, there), axis=1) > _MOVED
-    return found
 
 
 def surface_motion(spec: SyntheticSpec, index: int, camera: Camera) -> Float32:

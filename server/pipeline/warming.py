@@ -97,13 +97,12 @@ def warm_trainer() -> None:
 
 
 def warm_first_points() -> None:
-    """Draw a tiny synthetic clip, ask what moves in it, and sweep planes through it."""
+    """Draw a tiny synthetic clip, and sweep planes through it."""
     from streamlod.core.initialise import first_points
-    from streamlod.core.synthetic import SyntheticSpec, is_dynamic, open_synthetic
+    from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 
     spec = SyntheticSpec(cameras=3, frames=2, width=64, height=36)
     clip = open_synthetic(spec)
-    is_dynamic(spec, np.zeros((1, 3)), 1)
     frame = list(clip.frames())[-1]
     with suppress(StreamlodError):  # pictures this small show too little to find many points
         first_points(frame, clip.cameras, depth_bounds=clip.depth_bounds, method="sweep")

@@ -16,7 +16,6 @@ from streamlod.core.synthetic import (
     SyntheticSpec,
     cameras,
     ground_truth,
-    is_dynamic,
     render_image,
     surface_motion,
 )
@@ -85,36 +84,17 @@ def test_motion_leads_back_to_the_frame_before() -> None:
     assert np.linalg.norm(now.motion, axis=2).max() < 0.2  # metres a frame
 
 
-def test_moving_pixels_are_dynamic_points_and_far_ones_are_not() -> None:
-    for index in (9, 31):
-        truth = ground_truth(SPEC, index, 0)
-        points = world(truth, cameras(SPEC)[0])
-        dynamic = is_dynamic(SPEC, points, index)
-        moving = truth.moving.ravel()
-        assert moving.mean() > 0.02
-        assert dynamic[moving].all()
-        assert (dynamic & ~moving).mean() < 0.03
-
-
-def test_where_a_mover_was_is_dynamic_too() -> None:
-    truth = ground_truth(SPEC, 30, 0)
-    points = world(truth, cameras(SPEC)[0])[truth.moving.ravel()]
-    assert is_dynamic(SPEC, points, 31).mean() > 0.95
-
-
 def test_a_still_clip_does_not_move() -> None:
     still = replace(SPEC, still=True)
     truth = ground_truth(still, 40, 1)
     assert not truth.moving.any()
     assert not truth.motion.any()
     assert np.array_equal(render_image(still, 40, 1), render_image(still, 0, 1))
-    assert not is_dynamic(still, world(truth, cameras(still)[1]), 40).any()
 
 
 def test_nothing_moves_in_the_step_to_the_first_frame() -> None:
     truth = ground_truth(SPEC, 0, 0)
     assert not truth.moving.any()
-    assert not is_dynamic(SPEC, world(truth, cameras(SPEC)[0]), 0).any()
 
 
 @pytest.mark.parametrize("frames", [20, 60])
