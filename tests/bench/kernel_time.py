@@ -8,7 +8,6 @@ from types import ModuleType
 from typing import Any, Self
 
 import streamlod.core.render.cpu.backdrop
-import streamlod.core.render.cpu.dirty_tiles
 import streamlod.core.render.cpu.frame
 import streamlod.core.render.cpu.listing
 import streamlod.core.render.cpu.photometric
@@ -22,7 +21,6 @@ _KERNELS: dict[str, tuple[tuple[ModuleType, str], ...]] = {
         (_LISTING, "fill_lists"),
         (_LISTING, "find_touching"),
         (streamlod.core.render.cpu.backdrop, "merge_lists"),
-        (streamlod.core.render.cpu.dirty_tiles, "mark_tiles"),
     ),
     "blend": ((_FRAME, "blend_tiles"),),
     "gradients": ((_FRAME, "differentiate_tiles"), (_FRAME, "differentiate_projection")),

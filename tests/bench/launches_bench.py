@@ -37,7 +37,7 @@ REFINING = (
     (KeyframeTrainer, "_astray"),
     (KeyframeTrainer, "_measured_precision"),
     (KeyframeTrainer, "_drop_idle_levels"),
-    (KeyframeTrainer, "_drop_dispensable"),
+    (KeyframeTrainer, "_order_by_effect"),
     (KeyframeTrainer, "_begin_with_anchors"),
 )
 
