@@ -10,25 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from streamlod.core.arrays import Int32, Int64
+from streamlod.core.arrays import Int64
 
 DEFAULT_OFFSET = 0.34  # measured: docs/bitstream.md; 0.5 would be plain rounding
-
-
-def dead_zone(values: NDArray[Any], offset: float = DEFAULT_OFFSET) -> Int32:
-    """Integers of `values` (any shape, in steps): sign(v) floor(|v| + offset).
-
-    Magnitudes below 1 - `offset` become zero, which costs little quality and saves many bits.
-
-    Raises:
-        ValueError: `offset` outside (0, 0.5], or a value that is not finite.
-    """
-    if not 0 < offset <= 0.5:
-        raise ValueError(f"a rounding offset lies in (0, 0.5], not at {offset}")
-    if not np.isfinite(values).all():
-        raise ValueError("values to be quantised must be finite")
-    magnitude = np.floor(np.abs(values) + offset)
-    return np.asarray(np.copysign(np.minimum(magnitude, 2.0**30), values), np.float64).astype(np.int32)
 
 
 def trailing_zeros(matrix: NDArray[Any], most: int) -> Int64:

@@ -9,7 +9,7 @@ import torch
 from streamlod.codec.chunks.change import Elapsed
 from streamlod.codec.chunks.level import encode_change
 from streamlod.core.scene.anchors import LATENTS
-from streamlod.core.scene.quantise import dead_zone
+from streamlod.core.train.field.rounding import dead_zone
 from streamlod.core.train.optimise.rate import residual_bits
 from tests.codec.scenes import make_scene
 
@@ -21,8 +21,8 @@ def test_it_is_about_what_is_sent(share: float, size: float) -> None:
     level = make_scene((3000,)).levels[0]
     rows = np.flatnonzero(rng.random(len(level)) < share)
     energy = rng.gamma(1, 1, (len(rows), 1)) * size
-    latent = dead_zone(rng.laplace(0, 1, (len(rows), LATENTS)) * energy).astype(np.int64)
-    position = dead_zone(rng.laplace(0, 1, (len(rows), 3)) * energy).astype(np.int64)
+    latent = dead_zone(torch.from_numpy(rng.laplace(0, 1, (len(rows), LATENTS)) * energy)).numpy().astype(np.int64)
+    position = dead_zone(torch.from_numpy(rng.laplace(0, 1, (len(rows), 3)) * energy)).numpy().astype(np.int64)
     changed = latent.any(axis=1) | position.any(axis=1)
     rows, latent, position = rows[changed], latent[changed], position[changed]
     sent = 8 * len(encode_change(level, rows, position, latent, Elapsed(0, 1), 1))
