@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import time
 from collections.abc import Callable
 from contextlib import aclosing
@@ -22,7 +21,6 @@ from streamlod.core.render.splatter import Splatter, draw_cloud, shown_at
 from streamlod.core.scene.anchors import SceneHeader
 from streamlod.core.scene.interpolate import can_interpolate, interpolate
 
-_log = logging.getLogger(__name__)
 _WHOLE_SECONDS = 10.0  # that the first picture may wait for all levels of its scene
 _QUIET_SECONDS = 2.0  # a stream that has ended is over when no packet comes for so long
 

@@ -29,14 +29,12 @@ class FirstPoses:
         root: number of the camera whose axes are the world's.
         cameras: [C,6] world to camera.
         boards: [I,6] board to world; NaN where no camera saw it.
-        shared: [C,C] instants that two cameras saw the board at together, and agree about.
         views: for each camera [I,6] board to camera, by what it saw alone; NaN where it did not.
     """
 
     root: int
     cameras: Float64
     boards: Float64
-    shared: Float64
     views: tuple[Float64, ...]
 
 
@@ -95,7 +93,7 @@ def first_poses(names: Sequence[str], seen: Sequence[Float64], lenses: Float64, 
             raise _apart(names, placed, most)
         placed[b] = rigid.after(between[a, b], placed[a])[0]
     cameras = np.array([placed[number] for number in range(count)])
-    return FirstPoses(root, cameras, _boards(views, cameras), shared, tuple(views))
+    return FirstPoses(root, cameras, _boards(views, cameras), tuple(views))
 
 
 def _boards(views: Sequence[Float64], cameras: Float64) -> Float64:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -27,7 +26,6 @@ from streamlod.core.calibration.world import find_floor
 from streamlod.core.camera import Camera
 from streamlod.core.data.lens import opencv_camera
 
-_log = logging.getLogger(__name__)
 _ROUNDS = 2  # after the first: outliers left out, and curves about the pictures nearest by the offsets found
 
 

@@ -16,7 +16,7 @@ class Observations:
     """Corners that are explained, N of them.
 
     Attributes:
-        camera, instant, corner: [N] numbers.
+        camera, instant: [N] numbers.
         point: [N,3] of the board, metres.
         value, slope, bend: [N,2] the camera's curve of the corner, see `track.CornerCurve`.
         since: [N] seconds from the curve's picture to the instant, by the common time.
@@ -24,7 +24,6 @@ class Observations:
 
     camera: Int64
     instant: Int64
-    corner: Int64
     point: Float64
     value: Float64
     slope: Float64
@@ -45,5 +44,5 @@ def observed(tracks: Sequence[Track], times: Float64, offsets: Float64, board: F
         camera = np.full(len(instant), number)
         since = (times - curve.picture_time)[instant]
         rows = [values[instant, corner] for values in (curve.value, curve.slope, curve.bend)]
-        parts.append((camera, instant, corner, board[corner], *rows, since))
+        parts.append((camera, instant, board[corner], *rows, since))
     return Observations(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))

@@ -12,14 +12,9 @@ from streamlod.core.arrays import Float64
 _MIN_DEPTH = 1e-6
 
 
-def project(lens: Float64, points: Float64) -> Float64:
-    """[N,2] pixels of `points` [N,3] in camera axes by `lens` [N,9] or [9], in the order
-    fx, fy, cx, cy, k1, k2, p1, p2, k3."""
-    return projected(lens, points)[0]
-
-
 def projected(lens: Float64, points: Float64) -> tuple[Float64, Float64, Float64]:
-    """Pixels [N,2] as in `project`, their derivatives by the points [N,2,3], and those by the lens [N,2,9]."""
+    """[N,2] pixels of `points` [N,3] in camera axes by `lens` [N,9] or [9], in the order fx, fy, cx, cy, k1, k2, p1,
+    p2, k3; their derivatives by the points [N,2,3], and those by the lens [N,2,9]."""
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = np.broadcast_to(lens, (len(points), 9)).T
     z = np.maximum(points[:, 2], _MIN_DEPTH)
     x, y = points[:, 0] / z, points[:, 1] / z

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from streamlod.core.arrays import UInt8
-from streamlod.core.calibration.adjustment.projection import project
+from streamlod.core.calibration.adjustment.projection import projected
 from streamlod.core.calibration.adjustment.rigid import rotations
 from streamlod.core.calibration.board.description import Board, board_text, read_board
 from streamlod.core.calibration.board.detect import Detector
@@ -33,7 +33,7 @@ def picture() -> UInt8:
 
 def test_corners_are_found_to_a_tenth_of_a_pixel(picture: UInt8) -> None:
     found = Detector(BOARD)(picture)
-    truth = project(LENS, BOARD.corners @ rotations(POSE[:3])[0].T + POSE[3:])
+    truth = projected(LENS, BOARD.corners @ rotations(POSE[:3])[0].T + POSE[3:])[0]
     assert found.count == BOARD.corner_count
     assert np.sqrt(((found.corners - truth) ** 2).sum(axis=1).mean()) < 0.1
 

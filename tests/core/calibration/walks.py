@@ -9,7 +9,7 @@ import numpy as np
 
 from streamlod.core.arrays import Float64
 from streamlod.core.calibration.adjustment import rigid
-from streamlod.core.calibration.adjustment.projection import project
+from streamlod.core.calibration.adjustment.projection import projected
 from streamlod.core.calibration.board.description import Board
 from streamlod.core.calibration.track import Track
 from streamlod.core.camera import look_at
@@ -69,7 +69,7 @@ def corners_of(lens: Float64, pose: Float64, boards: Float64, size: tuple[int, i
         facing = turn[:, 2] @ (points.mean(axis=0) / np.linalg.norm(points.mean(axis=0)))
         if facing < 0.3 or points[:, 2].min() < 0.2:
             continue
-        pixels = project(lens, points)
+        pixels = projected(lens, points)[0]
         inside = ((pixels > 4) & (pixels < np.array(size) - 5)).all(axis=1)
         found[number, inside] = pixels[inside]
     return found
