@@ -3,11 +3,12 @@
 import { fromText, toText } from "../view/camera.js";
 import { checked, EMPTY, fromLink, lengthOf, MAX_KEYS, poseAt, toJson, toLink } from "../view/path.js";
 import { attachMenu, button, element, keepInAddress, menuItem, toast } from "./page.js";
+import { download } from "./sharing.js";
 
 /** @typedef {import("../view/path.js").Path} Path */
 
 const STEP_SECONDS = 3; // from the last viewpoint to a new one
-const FPS = 30, REVOKE_MS = 10_000;
+const FPS = 30;
 const SIZES = ["1280x720", "1920x1080", "3840x2160"];
 
 export class Paths {
@@ -105,7 +106,7 @@ export class Paths {
     try {
       const format = { width, height, fps: FPS, seconds: lengthOf(path) };
       const blob = await film(viewer, timeline, path, format, (done) => bar && (bar.value = done), this.filming.signal);
-      save(blob, `${path.name || "film"}.${blob.type.startsWith("video/mp4") ? "mp4" : "webm"}`);
+      download(blob, `${path.name || "film"}.${blob.type.startsWith("video/mp4") ? "mp4" : "webm"}`);
       toast("Film saved");
     } catch (error) {
       if (!this.filming.signal.aborted) toast(/** @type {Error} */ (error).message);
@@ -149,14 +150,7 @@ export class Paths {
           this.filming ? Object.assign(document.createElement("progress"), { max: 1, value: 0, ariaLabel: "Film" }) : size,
         ]),
       ] : []),
-      ...(path.keys.length ? [menuItem("Save the path", ".json", null, () => save(new Blob([toJson(this.path)], { type: "application/json" }), `${this.path.name || "path"}.json`))] : []),
+      ...(path.keys.length ? [menuItem("Save the path", ".json", null, () => download(new Blob([toJson(this.path)], { type: "application/json" }), `${this.path.name || "path"}.json`))] : []),
     );
   }
-}
-
-/** @param {Blob} blob @param {string} name */
-function save(blob, name) {
-  const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: name });
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), REVOKE_MS);
 }

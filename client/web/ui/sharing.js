@@ -43,8 +43,8 @@ async function copy(text, said) {
   }
 }
 
-/** @param {Blob} blob @param {string} name */
-function download(blob, name) {
+/** Offer a file to the browser's downloads. @param {Blob} blob @param {string} name */
+export function download(blob, name) {
   const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: name });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), REVOKE_MS);
