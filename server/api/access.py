@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from typing import Annotated, Any, NoReturn
 from urllib.parse import urlsplit
 
@@ -197,4 +197,3 @@ def find_worker_stream(stream: StreamOf) -> WorkerStream:
 
 
 WorkerStreamOf = Annotated[WorkerStream, Depends(find_worker_stream)]
-Handler = Callable[..., Awaitable[Any]]

@@ -30,6 +30,7 @@ from streamlod.core.errors import BitstreamError
 from streamlod.server.pipeline.warming import warm_codec
 from tests.codec.hostile import densest
 from tests.codec.scenes import make_scene, move
+from tests.vectors.make import read_stream
 from tests.vectors.valid import key, packet
 
 BASE_STATES = 4  # the base is this many times the state that the level allows
@@ -63,7 +64,7 @@ def dense_key(rows: int, *, plain: bool = False) -> bytes:
 
 def peak(path: str, level: str) -> tuple[int, str]:
     """Bytes that decoding the last packet takes at its peak beyond what was there before, and what came of it."""
-    decoder, packets = SceneDecoder(COMPLEXITY_LEVELS[level]), _read(Path(path))
+    decoder, packets = SceneDecoder(COMPLEXITY_LEVELS[level]), read_stream(Path(path))
     try:
         for data in packets[:-1]:
             decoder.push(data)
@@ -82,15 +83,6 @@ def peak(path: str, level: str) -> tuple[int, str]:
 def _status(name: str) -> int:
     line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith(name))
     return int(line.split()[1]) << 10
-
-
-def _read(path: Path) -> list[bytes]:
-    data, at, packets = path.read_bytes(), 0, []
-    while at < len(data):
-        (size,) = struct.unpack_from("<I", data, at)
-        packets.append(data[at + 4 : at + 4 + size])
-        at += 4 + size
-    return packets
 
 
 def main() -> None:

@@ -15,6 +15,7 @@ import torch
 from streamlod.core.render import select
 from streamlod.core.train import TrainConfig
 from tests.bench.frame_subjects import Streaming, make_case
+from tests.bench.raster_gpu import finish
 
 _MOVING = 0.006  # share of the anchors that really move; about 5 % are then trained
 _ROUNDS = 3
@@ -72,10 +73,10 @@ def frame_figures(
     best: dict[str, Any] = {"wall s": float("inf")}
     for _ in range(_ROUNDS):
         streaming.reset()
-        _finish(device)
+        finish(device)
         begin = time.perf_counter()
         streaming.run()
-        _finish(device)
+        finish(device)
         wall = time.perf_counter() - begin
         if wall < best["wall s"]:
             assert streaming.result is not None
@@ -93,11 +94,6 @@ def frame_figures(
         best["memory MiB"] = torch.cuda.max_memory_allocated() / 2**20
         torch.cuda.reset_peak_memory_stats()
     return best
-
-
-def _finish(device: str) -> None:
-    if device == "cuda":
-        torch.cuda.synchronize()
 
 
 def _fitted(times: dict[str, float], number: Callable[[str], float]) -> dict[str, Any]:

@@ -61,14 +61,15 @@ def _seconds(work: Callable[[], None], device: str, rounds: int) -> list[float]:
     work()  # kernels load, memory is reserved
     times = list[float]()
     for _ in range(rounds):
-        _finish(device)
+        finish(device)
         begin = time.perf_counter()
         work()
-        _finish(device)
+        finish(device)
         times.append(time.perf_counter() - begin)
     return times
 
 
-def _finish(device: str) -> None:
+def finish(device: str) -> None:
+    """Wait until the device has done what it was told."""
     if device == "cuda":
         torch.cuda.synchronize()

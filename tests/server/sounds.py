@@ -13,8 +13,6 @@ from streamlod.server.worker.process import Tag
 from tests.clicks import clicks
 from tests.server.conftest import Running
 
-PIECE_NS = 200_000_000
-
 
 def pieces(seconds: float, begin_ns: int = 0, channels: int = 1) -> list[SoundPiece]:
     """Pieces of a click at each whole second of the clock."""

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from streamlod.core.errors import InputError
 from streamlod.server.cli.main import app
 from tests.core.data.writers import write_video_clip
-
-FPS = 10
-OFFSETS = np.array([0.0, 0.04, -0.03])  # seconds
 
 
 def test_the_board_is_printed_with_its_description(tmp_path: Path) -> None:
