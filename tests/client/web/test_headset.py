@@ -79,12 +79,17 @@ def pixels_of(eye: dict[str, Any]) -> np.ndarray:
     return rows[::-1, :, :3] / 255
 
 
-def test_fences_of_a_headsets_pictures_do_not_pile_up(page: Any, clip: Clip) -> None:
-    """Nobody asks how many of them are being drawn."""
+def put_on(page: Any) -> None:
+    """Give the page a headset when it loads."""
     if not IWER.exists():
         pytest.skip("iwer is not installed: npm install --prefix tests/client/web")
     page.add_init_script(path=IWER)
     page.add_init_script(PUT_ON)
+
+
+def test_fences_of_a_headsets_pictures_do_not_pile_up(page: Any, clip: Clip) -> None:
+    """Nobody asks how many of them are being drawn."""
+    put_on(page)
     page.add_init_script(COUNT_FENCES)
     with serving(create_app(clip, Behaviour(newest=4))) as url:
         page.goto(f"{url}/?quality=high")
@@ -100,10 +105,7 @@ def test_fences_of_a_headsets_pictures_do_not_pile_up(page: Any, clip: Clip) -> 
 
 def test_both_eyes_see_the_scene(page: Any, clip: Clip) -> None:
     """Each eye's picture is that of the reference renderer; sticks walk and turn; leaving gives the page back."""
-    if not IWER.exists():
-        pytest.skip("iwer is not installed: npm install --prefix tests/client/web")
-    page.add_init_script(path=IWER)
-    page.add_init_script(PUT_ON)
+    put_on(page)
     page.set_viewport_size({"width": 480, "height": 240})
     with serving(create_app(clip, Behaviour(newest=4))) as url:
         page.goto(f"{url}/?quality=high")
@@ -159,10 +161,7 @@ def test_both_eyes_see_the_scene(page: Any, clip: Clip) -> None:
 
 def test_the_room_shows_around_the_scene(page: Any, clip: Clip) -> None:
     """Pass-through: what no splat covers is left out (the emulated headset draws without alpha)."""
-    if not IWER.exists():
-        pytest.skip("iwer is not installed: npm install --prefix tests/client/web")
-    page.add_init_script(path=IWER)
-    page.add_init_script(PUT_ON)
+    put_on(page)
     page.set_viewport_size({"width": 900, "height": 450})
     with serving(create_app(clip, Behaviour(newest=4))) as url:
         page.goto(f"{url}/?quality=high")
@@ -179,10 +178,7 @@ def test_the_room_shows_around_the_scene(page: Any, clip: Clip) -> None:
 def test_webgpu_gives_way_to_a_headset(page_webgpu: Any, clip: Clip) -> None:
     """Headsets take pictures of WebGL2, which draws the page from then on."""
     page = page_webgpu
-    if not IWER.exists():
-        pytest.skip("iwer is not installed: npm install --prefix tests/client/web")
-    page.add_init_script(path=IWER)
-    page.add_init_script(PUT_ON)
+    put_on(page)
     page.set_viewport_size({"width": 900, "height": 450})
     with serving(create_app(clip, Behaviour(newest=4))) as url:
         page.goto(f"{url}/?quality=high&webgpu=1")

@@ -8,9 +8,8 @@ import pytest
 
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import EdgeSettings, Settings
-from tests.codec.scenes import assert_same_state
 from tests.server.conftest import Clip, Running, running, viewing
-from tests.server.large_clip import make_large_clip
+from tests.server.large_clip import make_large_clip, see_keyframes
 from tests.server.viewer.test_thin_session import ThinViewer
 from tests.waiting import wait
 
@@ -40,14 +39,7 @@ def watch_large(server: Running, large: Clip) -> None:
         thin = ThinViewer(plain.connection)
         thin.hello()
         thin.look(camera)
-        viewer.hello().until("caught_up")
-        keyframes: set[tuple[int, int]] = set()
-        while len(keyframes) <= REFRESHES:
-            viewer.step()
-            scene = viewer.decoder.scene
-            if scene is not None and len(set(viewer.decoder.versions)) == 1:
-                keyframes.add((len(viewer.named("epoch")), scene.keyframe))
-                assert_same_state(large.states[scene.version], scene)
+        see_keyframes(viewer, large, REFRESHES)
         for _ in range(REFRESHES):
             thin.until("scene")
             thin.picture()

@@ -19,7 +19,7 @@ from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 from tests.codec.scenes import assert_same_level, assert_same_state
 from tests.server.conftest import Clip, Running, running, viewing
-from tests.server.large_clip import make_large_clip
+from tests.server.large_clip import make_large_clip, see_keyframes
 from tests.server.viewer.test_thin_session import ThinViewer
 
 REFRESHES = 4  # keyframes after the first
@@ -39,14 +39,7 @@ def server(large: Clip) -> Iterator[Running]:
 
 def test_a_viewer_that_decodes_has_every_state(server: Running, large: Clip) -> None:
     with viewing(server, max_queue=None) as viewer:
-        viewer.hello().until("caught_up")
-        keyframes: set[tuple[int, int]] = set()
-        while len(keyframes) <= REFRESHES:
-            viewer.step()
-            scene = viewer.decoder.scene
-            if scene is not None and len(set(viewer.decoder.versions)) == 1:
-                keyframes.add((len(viewer.named("epoch")), scene.keyframe))
-                assert_same_state(large.states[scene.version], scene)
+        see_keyframes(viewer, large, REFRESHES)
 
 
 def test_a_viewer_with_fewer_levels_has_them(server: Running, large: Clip) -> None:

@@ -29,6 +29,16 @@ def _changed(tmp_path: Path, change: dict[str, Any], camera: dict[str, Any]) -> 
     return path
 
 
+def _scan(tmp_path: Path, names: list[str]) -> None:
+    """A data set `scan` with a picture of each of these cameras."""
+    cameras = rig(names)
+    (tmp_path / "scan").mkdir()
+    files = [f"{camera.name}.png" for camera in cameras]
+    for row, file in enumerate(files):
+        cv2.imwrite(str(tmp_path / "scan" / file), picture(row, 0))
+    write_transforms(tmp_path / "scan", files, cameras)
+
+
 def test_reads_cameras_sources_and_policy(tmp_path: Path) -> None:
     path = _changed(tmp_path, {"policy": {"quorum": 1}, "depth_bounds": [1, 9]}, {"distortion": [0.01, 0, 0, 0, 0]})
     definition = read_definition(path)
@@ -82,12 +92,7 @@ def test_refuses_what_is_no_definition(tmp_path: Path, text: str) -> None:
 
 
 def test_calibration_comes_from_a_data_set(tmp_path: Path) -> None:
-    cameras = rig(["a", "b"])
-    (tmp_path / "scan").mkdir()
-    files = [f"{camera.name}.png" for camera in cameras]
-    for row, file in enumerate(files):
-        cv2.imwrite(str(tmp_path / "scan" / file), picture(row, 0))
-    write_transforms(tmp_path / "scan", files, cameras)
+    _scan(tmp_path, ["a", "b"])
     known = open_dataset(tmp_path / "scan").recording.cameras
     entries = [{"name": known[1].name, "source": "push:"}]
     path = tmp_path / "rig.json"
@@ -101,12 +106,7 @@ def test_calibration_comes_from_a_data_set(tmp_path: Path) -> None:
 
 def test_a_rig_trains_in_the_space_of_its_calibration(tmp_path: Path) -> None:
     """As the data set itself does, whichever of its cameras are live; so `evaluate` finds the same places."""
-    cameras = rig(["a", "b", "c"])
-    (tmp_path / "scan").mkdir()
-    files = [f"{camera.name}.png" for camera in cameras]
-    for row, file in enumerate(files):
-        cv2.imwrite(str(tmp_path / "scan" / file), picture(row, 0))
-    write_transforms(tmp_path / "scan", files, cameras)
+    _scan(tmp_path, ["a", "b", "c"])
     path = tmp_path / "rig.json"
     entries = [{"name": name, "source": "push:"} for name in "ca"]
     path.write_text(json.dumps({"fps": 30, "calibration": "scan", "cameras": entries, "depth_bounds": [1, 9]}))
