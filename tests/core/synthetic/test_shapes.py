@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from streamlod.core.arrays import Float64
 from streamlod.core.synthetic.casting import cast
-from streamlod.core.synthetic.lighting import distances
-from streamlod.core.synthetic.parts import Part, assemble, turn
+from streamlod.core.synthetic.lighting import _distance
+from streamlod.core.synthetic.parts import Part, SolidParts, assemble, turn
 from streamlod.core.synthetic.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, ROOM
 
 KINDS = {
@@ -17,6 +18,12 @@ KINDS = {
     "capsule": (CAPSULE, (0.2, 0.4, 0.2)),
     "cylinder": (CYLINDER, (0.3, 0.4, 0.4)),
 }
+
+
+def distances(points: Float64, parts: SolidParts, p: int) -> Float64:
+    """Signed distances [N] from world `points` [N,3] to the surface of part `p`."""
+    local = (points - parts.translation[p]) @ parts.rotation[p]
+    return np.array([_distance(parts.kind[p], *parts.size[p], *point) for point in local])
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -35,22 +42,17 @@ def test_rays_end_on_the_surface_and_nothing_lies_before_it(name: str) -> None:
     cast(origins, directions, scene.solid, distance, part, point, normal)
     hit = part == 1
     assert 200 < hit.sum() < 2000
-    away = np.empty(2000)
-    distances(origins + distance[:, None] * directions, scene.solid, 1, away)
+    away = distances(origins + distance[:, None] * directions, scene.solid, 1)
     assert np.abs(away[hit]).max() < 1e-9
     assert (away[~hit] > 0).all()
     assert np.allclose(np.linalg.norm(normal, axis=1), 1)
     assert (np.einsum("ni,ni->n", directions @ rotation, normal)[hit] < 1e-9).all()  # outward normals face the ray
     for share in (0.2, 0.5, 0.8, 0.97):
-        distances(origins + share * distance[:, None] * directions, scene.solid, 1, away)
-        assert (away > 0).all()
+        assert (distances(origins + share * distance[:, None] * directions, scene.solid, 1) > 0).all()
 
 
 def test_distances_are_euclidean() -> None:
     scene = assemble([Part(BOX, (1.0, 1.0, 1.0), np.zeros(3)), Part(CAPSULE, (0.5, 1.0, 0.5), np.zeros(3))])
     points = np.array([[2.0, 0.0, 0.0], [2.0, 2.0, 1.0], [0.0, 0.0, 0.0], [0.0, 0.0, 3.0]])
-    away = np.empty(4)
-    distances(points, scene.solid, 0, away)
-    assert np.allclose(away, [1.0, np.sqrt(2.0), -1.0, 2.0])
-    distances(points, scene.solid, 1, away)
-    assert np.allclose(away, [1.5, np.sqrt(8.0) - 0.5, -0.5, 1.5])
+    assert np.allclose(distances(points, scene.solid, 0), [1.0, np.sqrt(2.0), -1.0, 2.0])
+    assert np.allclose(distances(points, scene.solid, 1), [1.5, np.sqrt(8.0) - 0.5, -0.5, 1.5])
