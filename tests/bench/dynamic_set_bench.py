@@ -145,7 +145,7 @@ def main() -> None:
         for speed in options.speeds:
             spec = SyntheticSpec(kind=kind, frames=options.frames, width=width, height=height, speed=speed)
             clip = open_clip(spec, options.views)
-            first = first_frame(clip, config, None)
+            first = first_frame(clip, config, None, "cpu")
             for truth in (False, True) if options.truth else (False,):
                 told = follow(clip, config, first, truth).told()
                 print(f"{kind}, {speed:g} pixels a frame{', only what has moved' if truth else ''}: {told}", flush=True)

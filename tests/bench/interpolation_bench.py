@@ -31,7 +31,7 @@ WAYS = ("state before", "interpolated", "trained")
 
 def trained(clip: Clip, config: TrainConfig) -> list[Scene]:
     """The state of each frame."""
-    first = first_frame(clip, config, None)
+    first = first_frame(clip, config, None, "cpu")
     trainer = Trainer(clip.cameras, config, clip.fps, "cpu")
     trainer.resume(first)
     trainer.predict(clip.training[0])  # tells the trainer what the first frame was shown
