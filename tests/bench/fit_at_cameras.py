@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 
@@ -36,8 +36,7 @@ from streamlod.core.initialise import first_points
 from streamlod.core.metrics import psnr
 from streamlod.core.scene.anchors import Scene, empty_level
 from streamlod.core.synthetic import SyntheticSpec, read_spec, render_view
-from streamlod.core.train import Trainer, preset
-from tests.bench.first_frame_bench import changed
+from streamlod.core.train import TrainConfig, Trainer, preset
 from tests.bench.zoo.plain import PlainGaussians, plain_views
 
 _ANGLES = (-75.0, -25.0, 25.0, 75.0)  # degrees, of the wide rig round what it looks at
@@ -60,6 +59,18 @@ class Subject:
     spec: SyntheticSpec | None
     space: Similarity
     fps: float
+
+
+def changed(config: TrainConfig, settings: list[str]) -> TrainConfig:
+    """`config` with each ``field=number`` of `settings` applied to its model or keyframe part."""
+    model, keyframe = config.model, config.keyframe
+    for name, text in (setting.split("=") for setting in settings):
+        value = text == "true" if text in ("true", "false") else float(text)
+        if name in {field.name for field in fields(model)}:
+            model = replace(model, **{name: type(getattr(model, name))(value)})
+        else:
+            keyframe = replace(keyframe, **{name: type(getattr(keyframe, name))(value)})
+    return replace(config, model=model, keyframe=keyframe)
 
 
 def recorded(data: Path, downscale: float, index: int, views: int | None, test: tuple[str, ...]) -> Subject:
