@@ -63,17 +63,17 @@ class RateControl:
     Args:
         kbps: kilobits (1000 bits) a second.
         fps: frames a second.
-        buffer_seconds: how long the full bucket takes to drain: the delay that a viewer on this channel sees at worst.
 
     Raises:
         ValueError: a number that is not positive.
     """
 
-    def __init__(self, kbps: float, fps: float, buffer_seconds: float = 1.0) -> None:
-        if not (kbps > 0 and fps > 0 and buffer_seconds > 0):
-            raise ValueError("rate, frame rate and buffer must be positive")
+    def __init__(self, kbps: float, fps: float) -> None:
+        if not (kbps > 0 and fps > 0):
+            raise ValueError("rate and frame rate must be positive")
         self._drain = kbps * 1000 / 8 / fps  # bytes a frame
-        self._capacity = max(kbps * 1000 / 8 * buffer_seconds, self._drain)
+        # a second of it: the delay that a viewer on this channel sees at worst
+        self._capacity = max(kbps * 1000 / 8, self._drain)
         self._held = _WANTED_FILL * self._capacity
         self._bytes_per_anchor = _FIRST_GUESS
 
