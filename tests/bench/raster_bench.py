@@ -1,7 +1,8 @@
 """How fast the CPU rasteriser and loss are: ``python -m tests.bench.raster_bench [PART ...]``, with --json and --svg.
 
 Subjects alternate within every round, so that both meet the same neighbours. Times are of the process's CPU on one
-thread unless said otherwise. With STREAMLOD_SPIKES naming a folder that holds ``nbw.py``, that kernel is a subject too.
+thread unless said otherwise.
+
 The part ``cuda`` needs a GPU: wall times of the CUDA backend, and pictures a second with levels and decoding.
 """
 
@@ -9,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import re
 import subprocess
 import sys
@@ -25,7 +25,6 @@ import torch
 from streamlod.core.errors import BackendUnavailable
 from streamlod.core.render import rasterise, select
 from streamlod.core.render.cpu.frame import backward, forward
-from streamlod.core.render.cpu.listing import pack_camera
 from streamlod.core.render.cpu.workspace import Workspace
 from streamlod.core.scene.gaussians import GaussianCloud
 from streamlod.core.train.field.decode import Splats
@@ -68,35 +67,6 @@ def kernel_step(count: int, size: tuple[int, int]) -> Callable[[], object]:
     cloud, camera = make_scene(count, *size)
     workspace, upstream = Workspace(), np.random.default_rng(0).normal(size=(size[1], size[0], 3)).astype(np.float32)
     return lambda: backward(workspace, forward(workspace, cloud, camera, BACKGROUND), cloud, upstream)
-
-
-def spike_step(nbw: Any, count: int, size: tuple[int, int]) -> Callable[[], object]:
-    """The same by the kept spike."""
-    cloud, camera = make_scene(count, *size)
-    arrays, packed = [getattr(cloud, name) for name in NAMES], pack_camera(camera)
-    upstream = np.random.default_rng(0).normal(size=(size[1], size[0], 3)).astype(np.float32)
-    light = np.zeros((size[1], size[0]), np.float32)
-
-    def step() -> object:
-        frame = nbw.np_forward(*arrays, packed, *size, BACKGROUND)
-        return nbw.np_backward(frame, upstream, light, *arrays[:3], packed)
-
-    return step
-
-
-def against_spike() -> dict[str, Any]:
-    """Ours against the spike; empty where it is not at hand."""
-    folder = os.environ.get("STREAMLOD_SPIKES")
-    if folder is None or not (Path(folder) / "nbw.py").is_file():
-        return {"skipped": "set STREAMLOD_SPIKES to the folder of nbw.py"}
-    sys.path.insert(0, folder)
-    import nbw  # type: ignore[import-not-found]
-
-    cases = ((50_000, VGA), (200_000, VGA), (50_000, HD), (200_000, HD))
-    return {
-        f"{n} at {w}x{h}": ratios({"spike": spike_step(nbw, n, (w, h)), "ours": kernel_step(n, (w, h))}, "spike")
-        for n, (w, h) in cases
-    }
 
 
 def against_torch() -> dict[str, Any]:
@@ -246,7 +216,6 @@ def _peak_kib() -> int:
 
 
 REPORTS: dict[str, Callable[[], dict[str, Any]]] = {
-    "kernels against the spike": against_spike,
     "against torch": against_torch,
     "loss": loss,
     "dirty tiles": dirty,
