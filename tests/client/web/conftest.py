@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 
-from streamlod.codec.container import SlodWriter
 from tests.client.web.miniserver import WEB, Clip, make_clip
 from tests.client.web.scenes import make_scene
 
@@ -134,10 +133,7 @@ def clip(kernel: bytes) -> Clip:
 def recording(clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The clip as `clip.slod`, in a folder of its own."""
     path = tmp_path_factory.mktemp("recording") / "clip.slod"
-    with SlodWriter(path) as writer:
-        writer.append(clip.key())
-        for version in range(1, len(clip.states)):
-            writer.append(clip.residual(version - 1, version))
+    clip.write(path)
     return path
 
 

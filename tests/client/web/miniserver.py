@@ -20,6 +20,7 @@ from fastapi.staticfiles import StaticFiles
 from PIL import Image
 from starlette.types import ASGIApp
 
+from streamlod.codec.container import SlodWriter
 from streamlod.codec.encoder import encode_keyframe, encode_residual
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.residual import difference
@@ -50,6 +51,13 @@ class Clip:
             packet = encode_residual(self.states[before], change, time_ns=time_ns, profile=self.profile)
             self._made[before, after] = packet
         return self._made[before, after]
+
+    def write(self, path: Path) -> None:
+        """As a `.slod` file: the keyframe, and each state from the one before."""
+        with SlodWriter(path) as writer:
+            writer.append(self.key())
+            for version in range(1, len(self.states)):
+                writer.append(self.residual(version - 1, version))
 
 
 def make_clip(scene: Scene, frames: int, profile: int = 1, frame_ns: int = 33_333_333) -> Clip:

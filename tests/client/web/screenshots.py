@@ -12,7 +12,7 @@ from typing import Any
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from streamlod.codec.container import SlodReader, SlodWriter
+from streamlod.codec.container import SlodReader
 from streamlod.codec.decoder import SceneDecoder
 from streamlod.core.scene.anchors import Scene
 from tests.client.web.conftest import TEST_FLAGS, chromium_path
@@ -227,10 +227,7 @@ def main() -> None:
     clip = recorded(arguments.scene) if arguments.scene else make_clip(make_scene(1500), 31)
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
         files = Path(folder)
-        with SlodWriter(files / "clip.slod") as writer:
-            writer.append(clip.key())
-            for version in range(1, len(clip.states)):
-                writer.append(clip.residual(version - 1, version))
+        clip.write(files / "clip.slod")
         browser = playwright.chromium.launch(executable_path=chromium_path(), args=TEST_FLAGS)
         for shot in shots():
             if any(part in shot.name for part in arguments.only.split(",")):

@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from streamlod.codec.container import SlodWriter
 from streamlod.codec.sound.beside import sound_beside
 from streamlod.codec.sound.opus import write_sound
 from streamlod.server.auth.gate import hash_token
@@ -48,10 +47,7 @@ def sounding(kernel: bytes, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Twenty seconds at ten pictures a second, with sound."""
     clip = make_clip(make_scene(60), FRAMES, frame_ns=FRAME_MS * 1_000_000)
     path = tmp_path_factory.mktemp("sounding") / "clip.slod"
-    with SlodWriter(path) as writer:
-        writer.append(clip.key())
-        for version in range(1, FRAMES):
-            writer.append(clip.residual(version - 1, version))
+    clip.write(path)
     write_sound(sound_beside(path), [clicks(19.0)], 1, BEGIN_MS * 1_000_000)
     return path
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from streamlod.codec.container import SlodWriter
 from streamlod.core.render.splatter import Splatter
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Limits, Settings
@@ -31,10 +30,7 @@ def clip() -> Clip:
 def server(clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     """The real server, at the end of a recorded clip."""
     recording = tmp_path_factory.mktemp("thin") / "clip.slod"
-    with SlodWriter(recording) as writer:
-        writer.append(clip.key())
-        for version in range(1, FRAMES):
-            writer.append(clip.residual(version - 1, version))
+    clip.write(recording)
     with running(Settings(limits=Limits(thin_viewers=1)), StreamSpec(play=recording, loop=False)) as server:
         server.wait(lambda stream: stream["state"] == "ended")
         yield server

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from streamlod.codec.container import SlodWriter
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import EdgeSettings, Settings
 from tests.client.web.conftest import Console
@@ -27,10 +26,7 @@ def server(kernel: bytes, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     """A minute at five frames a second, which the server plays to all at once."""
     clip = make_clip(make_scene(200), 300, frame_ns=200_000_000)
     path = tmp_path_factory.mktemp("together") / "clip.slod"
-    with SlodWriter(path) as writer:
-        writer.append(clip.key())
-        for version in range(1, len(clip.states)):
-            writer.append(clip.residual(version - 1, version))
+    clip.write(path)
     with running(Settings(together=True), StreamSpec(play=path, loop=True)) as server:
         yield server
 

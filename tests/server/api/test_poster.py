@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from streamlod.codec.container import SlodWriter
 from streamlod.core.render.splatter import Splatter
 from streamlod.core.scene.anchors import Scene
 from streamlod.server.api.poster import PREVIEW_SIZE, camera_of
@@ -33,10 +32,7 @@ def scene() -> Scene:
 def client(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
     recording = tmp_path_factory.mktemp("poster") / "clip.slod"
     clip = make_clip(scene, 6)
-    with SlodWriter(recording) as writer:
-        writer.append(clip.key())
-        for version in range(1, 6):
-            writer.append(clip.residual(version - 1, version))
+    clip.write(recording)
     played, idle = StreamSpec(play=recording, loop=False), StreamSpec(id="idle", play=recording, loop=False)
     with running(Settings(), played, idle) as server:
         server.wait(lambda stream: stream["state"] == "ended", seconds=200)

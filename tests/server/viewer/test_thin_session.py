@@ -18,7 +18,6 @@ from prometheus_client import generate_latest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
 
-from streamlod.codec.container import SlodWriter
 from streamlod.core.camera import Camera
 from streamlod.core.errors import SessionError
 from streamlod.core.render.splatter import Splatter
@@ -112,10 +111,7 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
 def states(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Scene]]:
     clip = make_clip(make_scene(300, view_dependent=False), FRAMES)
     path = tmp_path_factory.mktemp("thin") / "clip.slod"
-    with SlodWriter(path) as writer:
-        writer.append(clip.key())
-        for version in range(1, FRAMES):
-            writer.append(clip.residual(version - 1, version))
+    clip.write(path)
     return path, clip.states
 
 
