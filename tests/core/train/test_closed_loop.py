@@ -21,6 +21,7 @@ from streamlod.core.scene.keyframe import as_keyframe
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import PredictConfig, TrainConfig, TrainedFrame, Trainer, preset
 from streamlod.core.train.presets.settings import with_settings
+from tests.codec.scenes import assert_same_state
 from tests.core.true_points import true_points
 
 SPEC = SyntheticSpec(cameras=4, frames=12, width=96, height=54, fps=10.0)
@@ -66,10 +67,7 @@ def loop(trainer: Trainer, scene: Scene, pictures: Iterable[UInt8]) -> list[Trai
         before, result = trainer.scene, trainer.predict(frame_set(index, picture))
         assert result.residual is not None
         decoder.push(encode_residual(before, result.residual, time_ns=index))
-        assert decoder.scene is not None
-        for mine, theirs in zip(decoder.scene.levels, result.scene.levels, strict=True):
-            for name in AnchorLevel.__slots__:
-                np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
+        assert_same_state(result.scene, decoder.scene)
         assert np.isfinite(result.report.loss)
         results.append(result)
     cloud = expand(results[-1].scene, scene.header.cameras[0].centre)

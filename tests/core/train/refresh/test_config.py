@@ -14,12 +14,13 @@ from streamlod.core.data import Dataset
 from streamlod.core.frames import FrameSet
 from streamlod.core.metrics import psnr
 from streamlod.core.render.cpu import render
-from streamlod.core.scene.anchors import AnchorLevel, Scene
+from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import expand
 from streamlod.core.scene.keyframe import as_keyframe
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import TrainConfig, Trainer, preset
 from streamlod.core.train.field.convert import field_of, scene_of
+from tests.codec.scenes import assert_same_state
 from tests.core.train.fields import random_field
 from tests.core.true_points import true_points
 
@@ -86,10 +87,7 @@ def test_catches_up_and_goes_on(clip: Dataset, frames: list[FrameSet], first: Sc
     assert after.residual is not None
     assert after.residual.changed > 0
     decoder.push(encode_residual(renewed.scene, after.residual, time_ns=1))
-    assert decoder.scene is not None
-    for mine, theirs in zip(decoder.scene.levels, after.scene.levels, strict=True):
-        for name in AnchorLevel.__slots__:
-            np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
+    assert_same_state(after.scene, decoder.scene)
 
 
 def test_a_still_scene_trains_nothing(clip: Dataset, frames: list[FrameSet], first: Scene) -> None:
