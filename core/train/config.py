@@ -63,7 +63,7 @@ class KeyframeConfig:
     """Training of the first frame; moments and shares are fractions of the run."""
 
     steps: int = setting(
-        2400,
+        2520,
         "steps of the run",
         reading(1500, "500 epochs (section V-A) of three views (docs/method.md, reading 10)"),
     )
@@ -135,6 +135,11 @@ class KeyframeConfig:
         0.15,
         "share of steps before `growth_until` that draw only levels up to a random one",
         reading(0.0, "not mentioned: no step hides fine levels at random"),
+    )
+    ordered_cap_share: float = setting(
+        0.25,
+        "share of steps after that, when levels go by effect, that do",
+        reading(0.0, "as level_cap_share"),
     )
     level_cap_weight: float = setting(
         0.2,

@@ -157,11 +157,9 @@ class KeyframeTrainer:
         return None if self._space is None else self._space.astray(self._learned.settled, self._config.clearance)
 
     def _random_cap(self) -> int | None:
-        """The finest level of a step that trains a coarser picture, or None for a step that trains the whole one.
-
-        Steps after growth all train the whole one: levels go by effect then.
-        """
-        share = self._config.level_cap_share if self.progress < self._config.growth_until else 0.0
+        """The finest level of a step that trains a coarser picture, or None for a step that trains the whole one."""
+        config = self._config
+        share = config.level_cap_share if self.progress < config.growth_until else config.ordered_cap_share
         if torch.rand((), generator=self._chances).item() >= share or self._highest == 0:
             return None
         return int(torch.randint(0, self._highest, (), generator=self._chances))

@@ -10,7 +10,8 @@ import torch
 
 from streamlod.codec.decoder import SceneDecoder
 from streamlod.codec.encoder import encode_keyframe
-from streamlod.core.frames import PointCloud
+from streamlod.core.arrays import UInt8
+from streamlod.core.camera import Camera
 from streamlod.core.metrics import psnr
 from streamlod.core.render.cpu import render
 from streamlod.core.scene.anchors import Scene
@@ -100,28 +101,37 @@ def test_anchors_of_later_frames_are_as_wide_as_without_an_order() -> None:
     assert [sizes.cell(level) for level in range(1, LEVELS)] == [octree.cell(level) for level in range(4)]
 
 
+def quality(shown: Scene, highest: int, cameras: tuple[Camera, ...], pictures: UInt8) -> float:
+    drawn = [render(expand(shown, c.centre, highest), c, np.zeros(3, np.float32)).image.clip(0, 1) for c in cameras]
+    return float(np.mean([psnr(a, b.astype(np.float32) / 255) for a, b in zip(drawn, pictures, strict=True)]))
+
+
 @pytest.mark.long
 def test_coarse_levels_show_more_than_as_many_other_anchors() -> None:
     cameras = ring(3)
-    pictures, points = printed_wall(cameras, 0.6), wall(300)
-    config = short(preset("live"), 200)
-    scene = (
-        Trainer(cameras, config, 30.0, "cpu")
-        .keyframe(frames(pictures), PointCloud(points.positions, points.colours))
-        .scene
-    )
+    pictures = printed_wall(cameras, 0.6)
+    scene = Trainer(cameras, short(preset("live"), 200), 30.0, "cpu").keyframe(frames(pictures), wall(300)).scene
     assert len(scene.levels) == LEVELS
-
-    def quality(shown: Scene, highest: int) -> float:
-        drawn = [render(expand(shown, c.centre, highest), c, np.zeros(3, np.float32)).image.clip(0, 1) for c in cameras]
-        return float(np.mean([psnr(a, b.astype(np.float32) / 255) for a, b in zip(drawn, pictures, strict=True)]))
-
     coarse = sum(len(level) for level in scene.levels[:-1])
     rng, least = np.random.default_rng(0), scene.anchor_count - coarse
     gone = np.arange(scene.anchor_count) < least
     rng.shuffle(gone)
     starts = np.cumsum([0, *(len(level) for level in scene.levels)])
     levels = [replace(one, alive=~gone[a : a + len(one)]) for one, a in zip(scene.levels, starts, strict=False)]
-    assert quality(scene, LEVELS - 2) > quality(replace(scene, levels=tuple(levels)), LEVELS - 1) + 1.5
-    grades = [quality(scene, highest) for highest in range(LEVELS)]
+    others = quality(replace(scene, levels=tuple(levels)), LEVELS - 1, cameras, pictures)
+    assert quality(scene, LEVELS - 2, cameras, pictures) > others + 1.5
+    grades = [quality(scene, highest, cameras, pictures) for highest in range(LEVELS)]
     assert grades == sorted(grades)
+
+
+@pytest.mark.long
+def test_levels_learn_to_do_without_the_finer_ones() -> None:
+    cameras = ring(3)
+    pictures, config, shown = printed_wall(cameras, 0.6), short(preset("live"), 200), []
+    for share in (0.0, 0.5):
+        keyframe = replace(config.keyframe, ordered_cap_share=share)
+        trainer = Trainer(cameras, replace(config, keyframe=keyframe), 30.0, "cpu")
+        scene = trainer.keyframe(frames(pictures), wall(300)).scene
+        shown.append([quality(scene, highest, cameras, pictures) for highest in range(LEVELS)])
+    gained = np.subtract(*shown[::-1])
+    assert gained[:-1].min() > 0.4
