@@ -84,7 +84,7 @@ def _ablation(name: str, ours: TrainConfig) -> tuple[Row, ...]:
         "lod": (
             built("one level", "no octree", levels=1, finer_levels=0, cell_pixels=4.0),
             built(f"levels by {other}", f"selection {other}", selection=other),
-            first("no level caps", "never trained with fine levels hidden", level_cap_share=0.0, ordered_cap_share=0.0),
+            first("no level caps", "never trained with fine levels hidden", level_cap_share=0.0),
         ),
         "partition": (later("no partition", "every anchor dynamic", everything=True),),
         "quantisation": (Row("no quantisation", f"steps {_FINER} times finer, no rate term", unquantised(ours)),),

@@ -63,7 +63,7 @@ class KeyframeConfig:
     """Training of the first frame; moments and shares are fractions of the run."""
 
     steps: int = setting(
-        2520,
+        2460,
         "steps of the run",
         reading(1500, "500 epochs (section V-A) of three views (docs/method.md, reading 10)"),
     )
@@ -133,17 +133,13 @@ class KeyframeConfig:
     )
     level_cap_share: float = setting(
         0.15,
-        "share of steps before `growth_until` that draw only levels up to a random one",
+        "share of steps that draw only levels up to a random one",
         reading(0.0, "not mentioned: no step hides fine levels at random"),
-    )
-    ordered_cap_share: float = setting(
-        0.25,
-        "share of steps after that, when levels go by effect, that do",
-        reading(0.0, "as level_cap_share"),
     )
     level_cap_weight: float = setting(
         0.2,
-        "weight of the loss of such steps: large gradients of coarse pictures slow Adam down for the whole one",
+        "weight of the loss of such steps until `growth_until`: large gradients of coarse pictures slow Adam down for"
+        " the whole one; after that it counts as much as the loss of the last whole picture",
         reading(1.0, "without effect, as no step hides fine levels"),
     )
     growth_interval: int = setting(

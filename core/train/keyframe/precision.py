@@ -11,6 +11,7 @@ the eigenvectors of their covariance as seen through the mean sensitivity (trans
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -23,8 +24,8 @@ from streamlod.core.train.field.rounding import FEATURE_STEP, Precision, usual_p
 COARSEST = 7  # doublings of the finest step
 _SEARCH = 30  # halvings of an interval of offsets in doublings
 _FINER = 0.002  # share of the anchors that would take less than the finest step
-_TRIALS = 2
-_MAX_CORRECTION = 8.0  # factor by which one trial corrects the next
+_TRIALS = 6
+_MAX_CORRECTION = 8.0  # of the budget, either way
 _MAX_STEPS = 1 << 14  # steps that a parameter should stay below
 _TINY = 1e-12
 
@@ -101,15 +102,17 @@ def measured_precision(field: Field, found: Sensitivity, budget: float) -> Preci
 def tuned_precision(field: Field, found: Sensitivity, budget: float, added: Callable[[Precision], float]) -> Precision:
     """As `measured_precision`, corrected by what rounding really adds: with coarse steps pictures are far from linear.
 
+    By halving, as one anchor may add a hundred budgets with steps of one width and next to nothing with others.
+
     Args:
         added: the squared error that rounding to a precision adds.
     """
-    aim = budget
+    low, high = budget / _MAX_CORRECTION, budget * _MAX_CORRECTION
     for _ in range(_TRIALS):
-        precision = measured_precision(field, found, aim)
-        factor = budget / max(added(precision), budget / _MAX_CORRECTION)
-        aim *= min(factor, _MAX_CORRECTION)
-    return measured_precision(field, found, aim)
+        middle = math.sqrt(low * high)
+        fits = added(measured_precision(field, found, middle)) <= budget
+        low, high = (middle, high) if fits else (low, middle)
+    return measured_precision(field, found, low)
 
 
 def row_shifts(cost: Tensor, budget: float) -> Tensor:

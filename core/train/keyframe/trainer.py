@@ -73,6 +73,7 @@ class KeyframeTrainer:
         self._motion_cell = field.octree.motion_cell if motion_cell is None else motion_cell
         self._precision: Precision | None = None
         self._space = space
+        self._whole_loss = torch.zeros((), device=device)  # of the last step that drew all levels
         self._steps = 0
 
     @property
@@ -130,11 +131,12 @@ class KeyframeTrainer:
             raster = self._view_loss.over(raster, number, colour)
         price = self._view_loss.penalty(splats, raster, prices)
         loss = self._view_loss.loss(raster, number, price)
-        (loss if cap is None else config.level_cap_weight * loss).backward()  # type: ignore[no-untyped-call]
+        (loss if cap is None else self._cap_weight(loss.detach()) * loss).backward()  # type: ignore[no-untyped-call]
         self._learned.step(keyframe_rates(config, progress))
         self._exposure.centre()
         if cap is None:  # a coarse picture pulls hard wherever detail is missing, which says nothing about growing
             count(self._statistics, raster, splats, rows, field.slots)
+            self._whole_loss = loss.detach()
         self._steps += 1
         if progress >= config.average_from:
             self._learned.average()
@@ -158,11 +160,19 @@ class KeyframeTrainer:
 
     def _random_cap(self) -> int | None:
         """The finest level of a step that trains a coarser picture, or None for a step that trains the whole one."""
-        config = self._config
-        share = config.level_cap_share if self.progress < config.growth_until else config.ordered_cap_share
+        share = self._config.level_cap_share
         if torch.rand((), generator=self._chances).item() >= share or self._highest == 0:
             return None
         return int(torch.randint(0, self._highest, (), generator=self._chances))
+
+    def _cap_weight(self, loss: Tensor) -> Tensor | float:
+        """The factor of `loss`, of a coarser picture: once levels have their order, it counts as much as the whole's.
+
+        A fixed factor would be too large in dark scenes, where the loss of the whole picture becomes small.
+        """
+        if self.progress < self._config.growth_until:
+            return self._config.level_cap_weight
+        return (self._whole_loss / loss.clamp_min(1e-9)).clamp(max=1.0)
 
     def _drawn_rows(self, field: Field, number: int, highest: int) -> Tensor | None:
         """Anchors of a step: all, those up to level `highest`, or those that the camera's distances call for."""

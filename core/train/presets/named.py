@@ -10,14 +10,14 @@ from streamlod.core.train.paper.preset import paper
 PRESETS = {
     "live": TrainConfig(
         ModelConfig(max_anchors=64_000),
-        KeyframeConfig(steps=1320),
+        KeyframeConfig(steps=1280),
         PredictConfig(epochs=8, minimum_steps=56),
         USUAL,
     ),
     "balanced": TrainConfig(parts=USUAL),
     "quality": TrainConfig(
         ModelConfig(max_anchors=200_000),
-        KeyframeConfig(steps=5040, growth_interval=50, refresh_steps=400),
+        KeyframeConfig(steps=4920, growth_interval=50, refresh_steps=400),
         PredictConfig(epochs=40, minimum_steps=320, rate_weight=0.0042),
         USUAL,
     ),

@@ -129,7 +129,7 @@ def test_levels_learn_to_do_without_the_finer_ones() -> None:
     cameras = ring(3)
     pictures, config, shown = printed_wall(cameras, 0.6), short(preset("live"), 200), []
     for share in (0.0, 0.5):
-        keyframe = replace(config.keyframe, ordered_cap_share=share)
+        keyframe = replace(config.keyframe, level_cap_share=share)
         trainer = Trainer(cameras, replace(config, keyframe=keyframe), 30.0, "cpu")
         scene = trainer.keyframe(frames(pictures), wall(300)).scene
         shown.append([quality(scene, highest, cameras, pictures) for highest in range(LEVELS)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 from torch import Tensor
 
@@ -21,6 +22,7 @@ from streamlod.core.train.keyframe.precision import (
     row_shifts,
     sensitivity,
     signed_gradients,
+    tuned_precision,
 )
 
 FEATURES, SLOTS, VIEWS = 6, 2, 40
@@ -124,6 +126,19 @@ def test_the_measured_basis_takes_fewer_bits_for_the_same_error() -> None:
     for _ in range(6):  # widths of features alone, until the error is the same
         plain = replace(plain, feature=plain.feature * (budget / _error(field, found, plain)) ** 0.5)
     assert _bits(field, precision) < _bits(field, plain) - 2
+
+
+@pytest.mark.parametrize("share", [0.3, 0.8, 2.5])
+def test_one_anchor_that_rounding_throws_off_does_not_make_all_others_finer(share: float) -> None:
+    """Steps a little too wide for it may add a hundred budgets, while others even take something away."""
+    field = _field(1000)
+    found, budget = _found(field), 50.0 * 1000
+
+    def added(precision: Precision) -> float:
+        return 100 * budget if _error(field, found, precision) > share * budget else -0.1 * budget
+
+    error = _error(field, found, tuned_precision(field, found, budget, added))
+    assert 0.6 * share * budget < error <= share * budget
 
 
 def test_what_is_sent_decodes_to_what_was_rounded() -> None:
