@@ -9,11 +9,15 @@ from streamlod.core.arrays import Float64
 from streamlod.core.calibration.adjustment import rigid
 
 
+def aligned(found: Float64, truth: Float64) -> Float64:
+    """[C,6] cameras `found` (world to camera) in the world of `truth` [C,6]: rotations and centres fit on average."""
+    turn = (Rotation.from_rotvec(found[:, :3]).inv() * Rotation.from_rotvec(truth[:, :3])).mean()  # truth -> found
+    here, there = (rigid.inverse(each)[:, 3:].mean(axis=0) for each in (found, truth))
+    return rigid.after(found, np.concatenate([turn.as_rotvec(), here - turn.apply(there)]))
+
+
 def differences(found: Float64, truth: Float64) -> tuple[Float64, Float64]:
     """[C] degrees and [C] metres between cameras [C,6] (world to camera), after rotations and centres are aligned."""
-    turn = (Rotation.from_rotvec(found[:, :3]).inv() * Rotation.from_rotvec(truth[:, :3])).mean()  # truth -> found
-    here, there = rigid.inverse(found)[:, 3:], rigid.inverse(truth)[:, 3:]
-    moved = turn.apply(there - there.mean(axis=0)) + here.mean(axis=0)
-    turned = (Rotation.from_rotvec(truth[:, :3]) * turn.inv()).as_rotvec()
-    away = rigid.angles(found, np.concatenate([turned, np.zeros_like(turned)], axis=1))
-    return away, np.asarray(np.linalg.norm(here - moved, axis=1), np.float64)
+    moved = aligned(found, truth)
+    away = rigid.inverse(moved)[:, 3:] - rigid.inverse(truth)[:, 3:]
+    return rigid.angles(moved, truth), np.asarray(np.linalg.norm(away, axis=1), np.float64)
