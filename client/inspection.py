@@ -124,10 +124,13 @@ def _scene_lines(scene: Scene) -> list[str]:
         f"scene: {scene.anchor_count} anchors of {header.gaussians_per_anchor} Gaussians, {view}, {header.fps:g} fps",
         f"cameras: {', '.join(f'{c.name} {c.width}x{c.height}' for c in header.cameras) or 'none'}",
         "",
-        "level  anchors  cell",
+        "level  anchors  up to it",
     ]
+    coarse = 0
     for number, level in enumerate(scene.levels):
-        lines.append(f"{number:5d}  {int(level.alive.sum()):7d}  {header.octree.cell(number):.4g}")
+        anchors = int(level.alive.sum())
+        coarse += anchors
+        lines.append(f"{number:5d}  {anchors:7d}  {coarse / max(scene.anchor_count, 1):8.0%}")
     return lines
 
 

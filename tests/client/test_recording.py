@@ -156,6 +156,10 @@ def test_description_adds_up(tmp_path: Path) -> None:
     text = describe_file(path)
     assert f"{scenes[0].anchor_count} anchors of 4 Gaussians" in text
     assert "cam00 480x270, cam01 480x270" in text
+    coarsest = int(scenes[0].levels[0].alive.sum())
+    share = coarsest / scenes[0].anchor_count
+    assert re.search(rf"^ +0 +{coarsest} +{share:.0%}$", text, re.MULTILINE)
+    assert re.search(rf"^ +{len(scenes[0].levels) - 1} +\d+ +100%$", text, re.MULTILINE)
     assert re.search(rf"^key +1 +{len(data[0]) / 1000:.1f} ", text, re.MULTILINE)
     assert re.search(rf"^change +3 +{sum(map(len, data[1:])) / 1000:.1f} ", text, re.MULTILINE)
     by_level, by_chunk = (int(n) for n in (_total(text, "bytes by level"), _total(text, "bytes by chunk")))
