@@ -124,13 +124,13 @@ def _scene_lines(scene: Scene) -> list[str]:
         f"scene: {scene.anchor_count} anchors of {header.gaussians_per_anchor} Gaussians, {view}, {header.fps:g} fps",
         f"cameras: {', '.join(f'{c.name} {c.width}x{c.height}' for c in header.cameras) or 'none'}",
         "",
-        "level  anchors  up to it",
+        "level  anchors  cumulative",
     ]
-    coarse = 0
+    cumulative, total = 0, max(scene.anchor_count, 1)
     for number, level in enumerate(scene.levels):
         anchors = int(level.alive.sum())
-        coarse += anchors
-        lines.append(f"{number:5d}  {anchors:7d}  {coarse / max(scene.anchor_count, 1):8.0%}")
+        cumulative += anchors
+        lines.append(f"{number:5d}  {anchors:7d}  {cumulative / total:10.0%}")
     return lines
 
 

@@ -25,7 +25,7 @@ COARSEST = 7  # doublings of the finest step
 _SEARCH = 30  # halvings of an interval of offsets in doublings
 _FINER = 0.002  # share of the anchors that would take less than the finest step
 _TRIALS = 6
-_MAX_CORRECTION = 8.0  # of the budget, either way
+_MAX_CORRECTION = 8.0  # factor between what is asked for and the budget, either way
 _MAX_STEPS = 1 << 14  # steps that a parameter should stay below
 _TINY = 1e-12
 
@@ -102,7 +102,8 @@ def measured_precision(field: Field, found: Sensitivity, budget: float) -> Preci
 def tuned_precision(field: Field, found: Sensitivity, budget: float, added: Callable[[Precision], float]) -> Precision:
     """As `measured_precision`, corrected by what rounding really adds: with coarse steps pictures are far from linear.
 
-    By halving, as one anchor may add a hundred budgets with steps of one width and next to nothing with others.
+    The widest steps within the budget are found by halving. A correction by the ratio of budget and error does not do:
+    one anchor may add a hundred budgets with steps of one width, and next to nothing with others.
 
     Args:
         added: the squared error that rounding to a precision adds.
