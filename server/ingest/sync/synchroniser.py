@@ -81,6 +81,7 @@ class _Track:
     lag_ns: float = 0.0  # smoothed delay beyond the cameras' median
     strays: int = 0
     is_late: bool = False
+    is_back: bool = False  # after a silence; what is known of its phase may hold no more
     turn: complex = 0
     held: deque[Picture] = field(default_factory=lambda: deque(maxlen=_HELD))
 
@@ -168,6 +169,7 @@ class Synchroniser:
         self._now_ns = now_ns
         ready = self._close_due(now_ns)
         track.counts.received += 1
+        track.is_back = track.is_back or self._state(track, now_ns) is CameraState.LOST
         track.arrived_ns = now_ns
         track.delay_ns = now_ns - picture.capture_ns
         if self._grid is None:
@@ -176,6 +178,8 @@ class Synchroniser:
             return self._begin(now_ns)
         if self._is_stray(track, now_ns):
             return ready + self._restart_if_all_strayed(now_ns)
+        if track.is_back:
+            ready += self._welcome(track, picture, now_ns)
         self._place(picture, now_ns)
         return ready + self._close_due(now_ns)
 
@@ -238,13 +242,22 @@ class Synchroniser:
                 self._place(picture, now_ns)
         return self._close_due(now_ns)
 
+    def _welcome(self, track: _Track, picture: Picture, now_ns: int) -> list[Instant]:
+        """Move the grid at once for a camera that came back with another phase, before its pictures are paired.
+
+        Moved only once the phase is smoothed, a camera's pictures would change instants after they had been given out.
+        """
+        assert self._grid is not None
+        track.is_back, track.turn = False, self._grid.turn_of(picture.capture_ns)
+        return self._shift_if_off_centre(self._alive(), now_ns)
+
     def _lay(self, number: int, captures: list[int]) -> None:
         """A grid for cameras whose latest capture times are these; the first instant is about the first of them."""
         grid = Grid(self._period, number, captures[0])
         shift = best_phase([phase_of(grid.turn_of(capture)) for capture in captures])
         self._grid = replace(grid, anchor_ns=grid.anchor_ns + round(shift * self._period))
         for track in self._tracks.values():
-            track.newest, track.strays, track.turn = None, 0, 0
+            track.newest, track.strays, track.turn, track.is_back = None, 0, 0, False
 
     def _is_off(self, track: _Track) -> bool:
         return not self._delay_ns - _AHEAD_NS <= track.delay_ns <= self._delay_ns + _BEHIND_NS

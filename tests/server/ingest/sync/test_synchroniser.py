@@ -137,6 +137,34 @@ def test_a_stopped_camera_is_masked_counted_and_joins_again() -> None:
     assert len(instants) >= 238
 
 
+@pytest.mark.parametrize("comes_back_at", [0.65, 0.75])
+def test_a_camera_that_comes_back_with_another_phase_is_paired_one_way_from_its_first_picture(
+    comes_back_at: float,
+) -> None:
+    """Its new phase lies near the boundary between instants, which is best moved to the other side of some cameras."""
+    phases = {"c0": 0.0, "c1": 0.4, "c2": 0.2, "c3": 0.4}
+    arrivals = []
+    for _, camera, capture in filmed(4, 300):
+        number = (capture - UTC) // PERIOD
+        if camera != "c2" or not 120 <= number < 180:
+            phase = comes_back_at if camera == "c2" and number >= 180 else phases[camera]
+            shift = round(phase * PERIOD)
+            arrivals.append((number * PERIOD + shift + 20 * MS, camera, capture + shift))
+    synchroniser, instants, _ = Film(NAMES, arrivals).run(quorum=3)
+    check(instants)
+    back = [instant for instant in instants if instant.capture_ns > UTC + 170 * PERIOD and None not in instant.pictures]
+    assert len(back) >= 115
+    assert synchroniser.shifts == 1
+    for row in range(4):
+        taken = [instant.pictures[row] for instant in back]
+        since = {
+            round((picture.capture_ns - UTC) / PERIOD - phases[NAMES[row]]) - instant.number
+            for picture, instant in zip(taken, back, strict=True)
+            if picture is not None
+        }
+        assert len(since) == 1
+
+
 def test_a_skewed_camera_is_paired_with_what_it_saw_and_its_skew_is_told() -> None:
     """Fifty milliseconds are one period and a half, the worst case: the grid must be laid between the cameras."""
     generator = np.random.default_rng(3)
