@@ -43,7 +43,7 @@ tests: install
 api: install ## Print docs/reference/api.md from the docstrings of the public interface
 	$(BIN)/python -m tests.api_pages
 
-lint: install ## ruff and mypy --strict
+lint: install ## ruff and mypy: --strict, and in tests what does not exist
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import numba
 
-MAX_THREADS: int = numba.config.NUMBA_NUM_THREADS
+MAX_THREADS: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]  # set as it is loaded
 
 
 @contextmanager

@@ -162,7 +162,7 @@ def test_passwords_are_neither_stored_readable_nor_shown(tmp_path: Path) -> None
     for path in tmp_path.rglob("*"):
         assert path.is_dir() or b"hunter2" not in path.read_bytes(), path
     with running(settings, confined=True) as server:
-        spec: StreamSpec = server.registry.streams["cams"].spec
+        spec: StreamSpec = server.worker_stream("cams").spec
         assert spec.job is not None
         assert isinstance(spec.job.live, dict)
         assert spec.job.live["cameras"][0]["source"] == source

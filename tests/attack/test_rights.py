@@ -14,7 +14,9 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from streamlod.server.auth.gate import hash_token
+from streamlod.server.api.access import admit
+from streamlod.server.auth.gate import Right, hash_token
+from streamlod.server.ingest.push.router import push_router
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 from tests.server.conftest import Clip, running, viewing
@@ -98,11 +100,11 @@ def test_a_capture_node_whose_token_ends_is_closed(tmp_path: Path, monkeypatch: 
         def close(self) -> None: ...
 
     async def opened(websocket: Any, stream_id: str) -> Intake:
-        await push.admit(websocket, push.Right.PUBLISH, stream_id)
+        await admit(websocket, Right.PUBLISH, stream_id)
         return Intake()
 
     monkeypatch.setattr("streamlod.server.api.access.RECHECK_SECONDS", 0.2)
-    monkeypatch.setattr("streamlod.server.api.push.router", push.push_router(opened, push.until_no_publisher))
+    monkeypatch.setattr("streamlod.server.api.push.router", push_router(opened, push.until_no_publisher))
     with ExitStack() as stack:
         server = stack.enter_context(running(write_tokens(tmp_path), *_STREAMS))
         address = f"ws://127.0.0.1:{server.port}/v1/streams/stage-1/ingest"

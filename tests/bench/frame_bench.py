@@ -24,6 +24,7 @@ from tests.bench.frame_gpu import gpu_report
 from tests.bench.frame_subjects import Naive, Streaming, make_case, trained_clip
 from tests.bench.kernel_time import KernelTime
 from tests.bench.parts import parts_parser, run_parts
+from tests.threads import MAX_THREADS
 
 EPOCHS = 10
 CONFIG = TrainConfig(predict=PredictConfig(epochs=EPOCHS, minimum_steps=0), parts=USUAL)
@@ -69,7 +70,7 @@ def clip(frames: int = 4) -> dict[str, Any]:
     trainer, later = trained_clip((480, 270), 5, 20_000, EPOCHS, frames + 1)
     trainer.predict(later[0])
     found: dict[str, Any] = {}
-    for threads in (1, numba.config.NUMBA_NUM_THREADS):
+    for threads in (1, MAX_THREADS):
         numba.set_num_threads(threads)
         torch.set_num_threads(threads)
         scene = trainer.scene

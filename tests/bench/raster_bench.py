@@ -33,6 +33,7 @@ from streamlod.core.train.loss.photometric import photometric_loss
 from tests.bench.parts import parts_parser, run_parts
 from tests.bench.raster_gpu import gpu_report
 from tests.bench.raster_subjects import NAMES, convolution_loss, make_scene, tensors, torch_tiles
+from tests.threads import MAX_THREADS
 
 Subjects = dict[str, Callable[[], object]]
 BACKGROUND = np.array([0.1, 0.2, 0.3], np.float32)
@@ -147,7 +148,7 @@ def _splats(cloud: GaussianCloud, *, gradients: bool = False) -> Splats:
 
 def threads() -> dict[str, Any]:
     """One thread and all: wall time, CPU time, and how evenly the tiles' work is shared."""
-    most, found = numba.config.NUMBA_NUM_THREADS, {}
+    most, found = MAX_THREADS, {}
     for count in (50_000, 200_000):
         step, result = kernel_step(count, VGA), {}
         for number in (1, most):

@@ -230,7 +230,7 @@ def _place() -> str:
     node = torch._C._current_autograd_node()
     if node is None:
         return "elsewhere"
-    lines = node.metadata.get("traceback_", [])  # in torch's anomaly mode
+    lines = node.metadata.get("traceback_", [])  # type: ignore[attr-defined]  # in torch's anomaly mode
     sources = [found for line in lines if (found := _source(line.partition('"')[2].partition('"')[0])) is not None]
     return sources[-1] if sources else "gradients"
 
@@ -252,7 +252,7 @@ class _Generator(torch.Generator):
     """`torch.Generator` that also takes the pretend device. One of the host is not refused there: torch hides which."""
 
     def __new__(cls, device: Any = "cpu") -> _Generator:
-        return super().__new__(cls, "cpu" if torch.device(device).type == NAME else device)
+        return super().__new__(cls, "cpu" if torch.device(device).type == NAME else device)  # type: ignore[call-arg]
 
 
 class Event:

@@ -27,7 +27,7 @@ def test_a_killed_trainer_goes_on_from_the_last_state(tmp_path: Path) -> None:
         assert viewer.welcome["window"] is None
         assert viewer.until("state", 120)["state"] == "live"  # after progress and early pictures
         assert viewer.named("progress")
-        pid = server.registry.streams["main"].worker_pid
+        pid = server.worker_stream().worker_pid
         assert pid is not None
         os.kill(pid, signal.SIGKILL)
         while viewer.named("state")[-1]["state"] != "ended":
@@ -60,7 +60,7 @@ def test_a_worker_that_waits_takes_over_and_another_one_waits_then() -> None:
     spec = StreamSpec(job=TrainJob(synthetic=CLIP | {"frames": 10_000}, preset="live"))
     with running(Settings(), spec) as server:
         server.wait(lambda stream: stream["state"] == "live", seconds=120)
-        stream = server.registry.streams["main"]
+        stream = server.worker_stream()
         seen: set[int | None] = set()
         for epoch in (2, 3):
             first = stream.worker_pid

@@ -16,12 +16,12 @@ import jwt
 from pydantic import ValidationError
 
 from streamlod.core.errors import InputError, SessionError
-from streamlod.server.api.access import Problem
 from streamlod.server.api.ranges import _parse_range
 from streamlod.server.api.schemas import NewLink
 from streamlod.server.auth.gate import Gate, hash_token, read_tokens
 from streamlod.server.auth.keys import parse_keys
 from streamlod.server.auth.links import LinkSigner
+from streamlod.server.http.problems import Problem
 from streamlod.server.pipeline.new_stream import NewStream
 from streamlod.server.protocol.messages import parse_control, parse_hello
 from streamlod.server.settings import Settings, load_settings

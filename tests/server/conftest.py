@@ -29,6 +29,7 @@ from streamlod.server.protocol.packets import PacketWindow, Position
 from streamlod.server.service.app import create_app
 from streamlod.server.service.run import Server, certificates_of, server_config
 from streamlod.server.settings import Settings
+from streamlod.server.stream.worker_stream import WorkerStream
 from tests.codec.scenes import make_scene, move
 from tests.waiting import PATIENCE
 
@@ -104,6 +105,11 @@ class Running:
     def stream(self, name: str = "main") -> dict[str, Any]:
         with self.client() as client:
             return client.get(f"/v1/streams/{name}").json()  # type: ignore[no-any-return]
+
+    def worker_stream(self, name: str = "main") -> WorkerStream:
+        stream = self.registry.streams[name]
+        assert isinstance(stream, WorkerStream)
+        return stream
 
     def wait(
         self, done: Callable[[dict[str, Any]], bool], name: str = "main", seconds: float = PATIENCE

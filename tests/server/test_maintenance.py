@@ -48,7 +48,7 @@ def test_a_copy_of_a_running_server_is_restored(clip: Clip, tmp_path: Path) -> N
             again = client.get(f"/v1/streams/{name}/manifest").json()["gops"]
             assert {(g["epoch"], g["first"]) for g in groups[name][:-1]} <= {(g["epoch"], g["first"]) for g in again}
             assert client.get(groups[name][0]["path"]).content == data[name]
-        spec = server.registry.streams["rig"].spec
+        spec = server.worker_stream("rig").spec
         assert spec.job.live["cameras"][0]["source"] == source
 
 
@@ -85,5 +85,5 @@ def test_systemd_takes_the_unit(tmp_path: Path) -> None:
 
 def test_the_unit_starts_what_there_is() -> None:
     (command,) = re.findall(r"^ExecStart=\S+ (\w+) (.*)$", UNIT.read_text(), re.MULTILINE)
-    known = {option for each in typer.main.get_command(app).commands[command[0]].params for option in each.opts}
+    known = {option for each in typer.main.get_group(app).commands[command[0]].params for option in each.opts}
     assert set(re.findall(r"--[\w-]+", command[1])) <= known

@@ -19,8 +19,7 @@ import pytest
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from streamlod.codec.container import SlodWriter
-from tests.client.web.conftest import WEB
-from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
+from tests.client.web.miniserver import WEB, Behaviour, Clip, create_app, serving
 from tests.client.web.watching import INSPECT, shows
 
 pytestmark = pytest.mark.browser

@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from streamlod.codec.container import SlodReader
-from tests.client.web.conftest import WEB
-from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
+from tests.client.web.miniserver import WEB, Behaviour, Clip, create_app, serving
 from tests.client.web.simple_server import simple_server
 from tests.client.web.watching import (
     INSPECT,

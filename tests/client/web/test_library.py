@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from streamlod.core.scene.expand import expand
-from tests.client.web.conftest import WEB
-from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
+from tests.client.web.miniserver import WEB, Behaviour, Clip, create_app, serving
 from tests.client.web.test_modules import assert_same_splats
 
 HERE = Path(__file__).parent

@@ -19,8 +19,7 @@ from streamlod.codec.encoder import encode_keyframe, encode_residual
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import expand
 from streamlod.core.scene.residual import difference
-from tests.client.web.conftest import WEB
-from tests.client.web.miniserver import make_clip
+from tests.client.web.miniserver import WEB, make_clip
 from tests.client.web.scenes import make_scene
 from tests.codec import scenes as codec_scenes
 

@@ -10,7 +10,7 @@ import pytest
 from streamlod.core.render.cpu import render
 from streamlod.core.render.splatter import Splatter
 from streamlod.core.scene.anchors import Scene
-from streamlod.core.scene.expand import expand
+from streamlod.core.scene.expand import expand, expand_slots
 from streamlod.core.scene.gaussians import GaussianCloud
 from tests.client.clips import plain_scene, states
 from tests.codec.scenes import grow, make_scene, move
@@ -57,17 +57,14 @@ def test_what_is_near_is_left_out_from_elsewhere(view_dependent: bool) -> None:
 
 
 def test_only_changed_rows_are_expanded_again(monkeypatch: pytest.MonkeyPatch) -> None:
-
-    import streamlod.core.render.splatter
-
     counted = []
-    whole = streamlod.core.render.splatter.expand_slots
+    whole = expand_slots
 
     def counting(*arguments):  # type: ignore[no-untyped-def]
         counted.append(len(arguments[4]))
         return whole(*arguments)
 
-    monkeypatch.setattr(streamlod.core.render.splatter, "expand_slots", counting)
+    monkeypatch.setattr("streamlod.core.render.splatter.expand_slots", counting)
     first, second = states(2)
     splatter, camera = Splatter(), first.header.cameras[0]
     splatter.cloud(first, camera)

@@ -8,8 +8,8 @@ import pytest
 from streamlod.core.arrays import Float64
 from streamlod.core.synthetic.casting import cast
 from streamlod.core.synthetic.lighting import _distance
-from streamlod.core.synthetic.parts import Part, SolidParts, assemble, turn
-from streamlod.core.synthetic.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, ROOM
+from streamlod.core.synthetic.parts import Part, assemble, turn
+from streamlod.core.synthetic.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, ROOM, SolidParts
 
 KINDS = {
     "box": (BOX, (0.3, 0.5, 0.2)),

@@ -222,7 +222,7 @@ def test_protocol_faults_close_with_their_code(server: Running) -> None:
 def test_worker_killed_in_mid_frame_is_replaced_and_viewers_stay(slow_clip: Clip, tmp_path: Path) -> None:
     with running(Settings(state=tmp_path), StreamSpec(play=slow_clip.path)) as server, watching(server) as viewer:
         viewer.until("caught_up")
-        pid = server.registry.streams["main"].worker_pid
+        pid = server.worker_stream().worker_pid
         assert pid is not None
         os.kill(pid, signal.SIGKILL)
         assert viewer.until("state")["state"] == "degraded"

@@ -54,7 +54,7 @@ def test_a_played_file_of_the_command_line_is_not_recorded(clip: Clip) -> None:
     seen: list[StreamSpec] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(commands, "serve", lambda settings, streams, again: seen.extend(streams))
-        patch.setattr(main.sys, "argv", ["streamlod", "serve", "--play", str(clip.path)])
+        patch.setattr("sys.argv", ["streamlod", "serve", "--play", str(clip.path)])
         with pytest.raises(SystemExit):
             main.main()
     assert seen == [replace(StreamSpec(play=clip.path), recorded=False)]

@@ -105,13 +105,13 @@ def test_a_worker_that_hangs_or_takes_too_much_memory_is_replaced(clip: Clip) ->
     settings = Settings.model_validate({"worker": {"heartbeat_seconds": 2.5}})
     with running(settings, StreamSpec(play=clip.path)) as server:
         server.wait(lambda stream: stream["state"] == "live")
-        pid = server.registry.streams["main"].worker_pid
+        pid = server.worker_stream().worker_pid
         assert pid is not None
         os.kill(pid, signal.SIGSTOP)
         found = server.wait(lambda stream: stream["restarts"] >= 1)
         assert "silent" in found["detail"]
         server.wait(lambda stream: stream["state"] == "live")
-        pids = {pid, server.registry.streams["main"].worker_pid}
+        pids = {pid, server.worker_stream().worker_pid}
         with server.client() as client:
             client.post("/v1/streams/main/stop")
         assert not [pid for pid in pids if Path(f"/proc/{pid}").exists()]  # not even for their parent to look at

@@ -22,10 +22,10 @@ import streamlod.core.render.cuda
 from streamlod.core.camera import pinhole
 from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import scene_of
-from streamlod.core.train.keyframe.trainer import Views
 from streamlod.core.train.later_frame.state import State, fresh_state
 from streamlod.core.train.later_frame.training import FrameTraining
 from streamlod.core.train.optimise.schedule import ViewOrder
+from streamlod.core.train.pictures.views import Views
 from tests.core.train.fields import random_field
 from tests.core.train.later_frame.begun import training_of
 
