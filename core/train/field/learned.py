@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import torch
 from torch import Tensor
 
 from streamlod.core.train.field.decode import Network
@@ -84,11 +83,6 @@ class LearnedField:
         """Go on with the same anchors on the octree, levels, nodes and places of `grid`."""
         octree, level, voxel, position = grid.octree, grid.level, grid.voxel, grid.position
         self._grid = replace(self._grid, octree=octree, level=level, voxel=voxel, position=position)
-
-    def shallower(self, levels: int) -> None:
-        """Give up all but the coarsest `levels`."""
-        self.keep(torch.nonzero(self._grid.level < levels)[:, 0])
-        self._grid = replace(self._grid, octree=replace(self._grid.octree, levels=levels))
 
 
 def _with(grid: Field, parameters: dict[str, Tensor]) -> Field:

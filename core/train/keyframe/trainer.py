@@ -21,7 +21,7 @@ from streamlod.core.train.growth.refine import count, refine
 from streamlod.core.train.growth.rules import GradientGrowth
 from streamlod.core.train.keyframe.drawing import ViewLoss
 from streamlod.core.train.keyframe.effect import anchor_effects, dispensable
-from streamlod.core.train.keyframe.levels import CoarseRows, needed_levels
+from streamlod.core.train.keyframe.levels import CoarseRows
 from streamlod.core.train.keyframe.order import LEVELS, in_order_of_effect
 from streamlod.core.train.keyframe.precision import sensitivity, signed_gradients, tuned_precision
 from streamlod.core.train.keyframe.relative_error import RelativeErrors
@@ -30,7 +30,6 @@ from streamlod.core.train.optimise.schedule import ViewOrder, dropout_keep, keyf
 from streamlod.core.train.pictures.views import Views
 
 _LEAST_CONTRAST = 0.05  # share of the usual one: below it, pictures hold hardly more than noise
-_JUDGES = 4  # views, evenly spread, that say whether a level carries anything
 
 
 class KeyframeTrainer:
@@ -145,7 +144,6 @@ class KeyframeTrainer:
             refine(self._learned, self._statistics, self._growth, *limits, self._generator, self._astray())
             self._begin_with_anchors(self._learned.live)
         if progress < config.growth_until <= self.progress:
-            self._drop_idle_levels()
             self._order_by_effect()
         return loss.detach()
 
@@ -238,28 +236,6 @@ class KeyframeTrainer:
         cell = narrowest_cell(self._motion_cell)
         self._learned.regroup(in_order_of_effect(self._learned.live, effects, cell, self._model.levels or LEVELS))
         self._begin_with_anchors(self._learned.live)
-
-    def _drop_idle_levels(self) -> None:
-        """Give up fine levels that carry nothing, while there are steps left to settle; the paper keeps all."""
-        if self._model.selection == "distance" or self._model.levels is not None:
-            return
-        field, usable = self._learned.live, self._whole.usable
-        judges = usable[:: max(1, len(usable) // _JUDGES)]
-
-        @torch.no_grad()
-        def loss(highest: int) -> float:
-            rows = torch.nonzero(field.level <= highest)[:, 0]
-            losses = []
-            for number in judges:
-                splats = self._decode(field, number, rows, rounded=False)
-                losses.append(float(self._view_loss.loss(self._view_loss.draw(splats, number), number)))
-            return sum(losses) / len(losses)
-
-        needed = needed_levels(field.octree.levels, loss)
-        if needed < field.octree.levels:
-            self._learned.shallower(needed)
-            self._motion_cell = self._learned.live.octree.motion_cell
-            self._begin_with_anchors(self._learned.live)
 
     def _begin_with_anchors(self, field: Field) -> None:
         """Go on with the anchors of `field`, some of which have just come, or others gone."""

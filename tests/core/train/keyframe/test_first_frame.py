@@ -18,7 +18,6 @@ from streamlod.core.scene.expand import expand
 from streamlod.core.train import TrainConfig, Trainer, preset
 from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.keyframe.drawing import ViewLoss
-from streamlod.core.train.keyframe.levels import needed_levels
 from streamlod.core.train.pictures.views import Views
 
 UP = np.array([0.0, -1.0, 0.0])
@@ -93,14 +92,6 @@ def test_a_first_frame_goes_from_small_pictures_to_the_whole_ones(monkeypatch: p
     monkeypatch.setattr(ViewLoss, "draw", noting)
     Trainer(cameras, config, 30.0, "cpu").keyframe(frames(pictures), wall(60))
     assert drawn[:10] == [80, 80, 160, 320] + [640] * 6
-
-
-@pytest.mark.parametrize(
-    ("worth", "kept"),
-    [([5, 3, 2], 3), ([5, 3, 0], 2), ([0, 3, 2], 3), ([5, 0, 0], 1), ([5, 0, 2], 3)],
-)
-def test_fine_levels_that_carry_nothing_are_not_needed(worth: list[int], kept: int) -> None:
-    assert needed_levels(3, lambda highest: 20.0 - sum(worth[: highest + 1])) == kept
 
 
 def printed_wall(cameras: tuple[Camera, ...], period: float) -> np.ndarray:
