@@ -14,6 +14,7 @@ from streamlod.core.data.names import listed
 
 QUARTERS = ("upper left", "upper right", "lower left", "lower right")  # of a picture
 _ENOUGH = 4  # instants in which the board was in a quarter of a picture
+_BESIDE = "with another camera"
 _TOGETHER = 6  # instants in which two cameras saw it, before their poses hold together
 
 
@@ -43,7 +44,7 @@ class WalkCoverage:
             corners: [J,2] for each camera, from (0, 0) to (1, 1) across its picture; NaN where not seen.
         """
         known = [each[np.isfinite(each).all(axis=1)] for each in corners]
-        seen = np.array([len(each) >= MIN_CORNERS for each in known], np.int64)
+        seen = np.array([is_seen(each) for each in corners], np.int64)
         quarters = self.quarters.copy()
         for camera in np.flatnonzero(seen):
             right, low = (known[camera] >= 0.5).T.astype(np.int64)
@@ -58,14 +59,36 @@ class WalkCoverage:
     def needs(self) -> Iterator[str]:
         """Sentences about what is to be shown to whom; none once all have seen enough."""
         for name, times, quarters in zip(self.cameras, self.together.diagonal(), self.quarters, strict=True):
-            lacking = [quarter for quarter, count in zip(QUARTERS, quarters, strict=True) if count < _ENOUGH]
+            lacking = _lacking(quarters)
             if not times:
                 yield f"{name} has not seen it"
             elif lacking:
                 where = "everywhere" if len(lacking) == len(QUARTERS) else f"in the {listed(lacking, 4)}"
                 yield f"{name} needs it {where}"
+        if alone := self._alone():
+            yield f"{listed([self.cameras[row] for row in alone], 4)} and another camera need it at one time"
+
+    def next_needs(self) -> list[str]:
+        """Words on what each camera needs next; "" of those that have seen enough."""
+        alone, times = self._alone(), self.together.diagonal()
+        return [
+            "not seen yet" if not times[row] else next(iter(_lacking(quarters)), _BESIDE if row in alone else "")
+            for row, quarters in enumerate(self.quarters)
+        ]
+
+    def _alone(self) -> list[int]:
+        """The cameras, of those that saw the board with no others, that saw it the least; none if all hang together."""
         groups = connected_components(self.together >= _TOGETHER, directed=False)[1]
-        if len(self.cameras) > 1 and groups.any():
-            seldom = np.bincount(groups, self.together.diagonal()).argmin()
-            alone = listed([self.cameras[number] for number in np.flatnonzero(groups == seldom)], 4)
-            yield f"{alone} and another camera need it at one time"
+        if not groups.any():
+            return []
+        seldom = np.bincount(groups, self.together.diagonal()).argmin()
+        return [int(row) for row in np.flatnonzero(groups == seldom)]
+
+
+def is_seen(corners: Float64) -> bool:
+    """Whether enough of [J,2] corners, NaN where not seen, are known to count the board as seen."""
+    return int(np.isfinite(corners).all(axis=1).sum()) >= MIN_CORNERS
+
+
+def _lacking(quarters: Int64) -> list[str]:
+    return [quarter for quarter, count in zip(QUARTERS, quarters, strict=True) if count < _ENOUGH]

@@ -130,7 +130,7 @@ def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings
                 say(f"trouble with {_list(missing)}")
 
         pool = stack.enter_context(ThreadPoolExecutor(1, "walk"))
-        walk = WalkWatch(names, board, say, pool)
+        walk = WalkWatch(names, board, say, rig.show, pool)
         found = record(rig, definition, record_to, seconds, tell, walk.look)
         walk.end()
     for name, one in found.items():

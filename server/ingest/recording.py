@@ -15,6 +15,7 @@ import av
 from streamlod.core.camera import Camera
 from streamlod.core.data.video.file import ONE_CLOCK
 from streamlod.core.errors import InputError
+from streamlod.server.ingest.board_sight import BoardSight
 from streamlod.server.ingest.cameras.definition import RigDefinition
 from streamlod.server.ingest.push.intake import Intake
 from streamlod.server.ingest.push.relay import listening
@@ -37,6 +38,7 @@ class WatchedRig(Rig):
     def __init__(self, definition: RigDefinition) -> None:
         super().__init__(definition, [camera.name for camera in definition.cameras])
         self.writers: dict[str, _Writer] = {}
+        self.sights: Mapping[str, BoardSight] = {}  # of the board, while its walk is recorded
         self._heard_later = None if definition.sound is None else definition.sound.camera
 
     def put(self, picture: Picture) -> None:
@@ -48,6 +50,14 @@ class WatchedRig(Rig):
     def hears(self, camera: str) -> bool:
         """Whether its sound is wanted once the rig is live: its page asks for the microphone when filming begins."""
         return camera == self._heard_later
+
+    def sight(self, camera: str) -> BoardSight | None:
+        """See `Rig.sight`."""
+        return self.sights.get(camera)
+
+    def show(self, sights: Mapping[str, BoardSight]) -> None:
+        """Have each pushed camera's page tell what the camera sees and needs of the board."""
+        self.sights = sights
 
 
 @contextmanager

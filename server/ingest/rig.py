@@ -19,6 +19,7 @@ from streamlod.codec.mp4.sound import SoundPiece
 from streamlod.core.arrays import Bool
 from streamlod.core.camera.grid import period_of
 from streamlod.core.errors import InputError
+from streamlod.server.ingest.board_sight import BoardSight
 from streamlod.server.ingest.cameras.definition import RigDefinition
 from streamlod.server.ingest.cameras.reader import Reader
 from streamlod.server.ingest.cameras.sound_reader import SoundReader
@@ -217,6 +218,10 @@ class Rig:
     def hears(self, camera: str) -> bool:
         """See `intake.PushTarget`."""
         return self._sound is not None and self._sound.camera == camera
+
+    def sight(self, camera: str) -> BoardSight | None:
+        """See `intake.PushTarget`; a rig that trains looks for no board."""
+        return None
 
     def put_sound(self, frame: av.AudioFrame, capture_ns: int) -> None:
         """See `intake.PushTarget`."""

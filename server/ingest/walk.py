@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, wait
 
 import cv2
@@ -16,8 +16,9 @@ import numpy as np
 from streamlod.core.arrays import Float64
 from streamlod.core.calibration.board.description import Board
 from streamlod.core.calibration.board.detect import Detector
-from streamlod.core.calibration.walk_coverage import WalkCoverage
+from streamlod.core.calibration.walk_coverage import WalkCoverage, is_seen
 from streamlod.core.errors import InputError
+from streamlod.server.ingest.board_sight import BoardSight
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import Instant
 
@@ -33,6 +34,7 @@ class WalkWatch:
     Args:
         cameras: names, in the order of an instant's pictures.
         tell: told what is needed, whenever that has changed.
+        show: given what each camera sees and needs, after each look; nothing once a look broke.
         pool: on whose thread it looks.
         clock: seconds.
     """
@@ -42,11 +44,12 @@ class WalkWatch:
         cameras: Sequence[str],
         board: Board,
         tell: Callable[[str], object],
+        show: Callable[[Mapping[str, BoardSight]], object],
         pool: Executor,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._unseen = f"no camera has seen it, which is to have {board.described()}"
-        self._detect, self._tell, self._pool, self._clock = Detector(board), tell, pool, clock
+        self._detect, self._tell, self._show, self._pool, self._clock = Detector(board), tell, show, pool, clock
         self._coverage, self._told = WalkCoverage.none(cameras), ""
         self._looking: Future[None] | None = None
         self._ended = False
@@ -73,11 +76,15 @@ class WalkWatch:
         error = None if self._looking is None else self._looking.exception()
         if error is not None and not self._ended:
             self._ended = True
+            self._show({})
             _log.error("the board's walk is no longer watched, as a look at the pictures broke", exc_info=error)
         return self._ended
 
     def _take(self, instant: Instant) -> None:
-        self._coverage = self._coverage.after([self._corners(picture) for picture in instant.pictures])
+        corners = [self._corners(picture) for picture in instant.pictures]
+        coverage = self._coverage = self._coverage.after(corners)
+        sights = map(BoardSight, map(is_seen, corners), coverage.next_needs())
+        self._show(dict(zip(coverage.cameras, sights, strict=True)))
         if self._clock() >= self._tell_at:
             self._tell_at = self._clock() + _TELL_SECONDS
             self._say()

@@ -11,7 +11,7 @@ const SILENCE_MS = 15_000; // of the server, after which a connection counts as 
 /** Close codes after which another attempt cannot help. */
 const FINAL = new Set([1008, 1009, 4400, 4401, 4403, 4404, 4415]);
 
-/** @typedef {{ name: string, width: number, height: number, taken: boolean, sound?: boolean }} WantedCamera */
+/** @typedef {{ name: string, width: number, height: number, taken: boolean, sound?: boolean, board?: { seen: boolean, needs: string } }} WantedCamera */
 /** @typedef {"jpeg" | "h264" | "opus" | "pcm"} Codec */
 
 /** One message: the length of the header, the header in msgpack, the picture. @param {string} camera - of ASCII characters @param {number} sequence @param {number} captureMs - Unix time @param {Codec} codec @param {Uint8Array} picture */
@@ -129,7 +129,7 @@ export class PushLink {
     } else if (answer.type === "cameras") {
       this.fps = answer.fps;
       this.cameras = answer.cameras;
-      this.ask({ type: "time", sent: performance.now() });
+      if (this.state === "connecting") this.ask({ type: "time", sent: performance.now() });
       for (const resolve of this.asking.splice(0)) resolve();
       this.changed();
     } else {

@@ -7,6 +7,7 @@ import { Microphone } from "../view/microphone.js";
 import { button, element, keepInAddress } from "./page.js";
 
 const MAX_REFUSALS = 10; // of pictures one after the other, then filming ends
+const MAX_NEED = 40; // letters of the server's word about the board
 const FIGURES_MS = 1000;
 const STALLED_MS = 3000;
 const SLOW = 0.9; // of the rig's rate, below which it is worth a word
@@ -146,6 +147,16 @@ function notes() {
   return found;
 }
 
+/** What who carries the board is to know, from afar. */
+function tellBoard() {
+  const sight = filming && link.state === "open" ? link.cameras.find(({ name }) => name === filming?.name)?.board : undefined;
+  const board = element("board"), seen = sight?.seen === true, needs = String(sight?.needs ?? "").slice(0, MAX_NEED);
+  board.hidden = !sight;
+  board.classList.toggle("seen", seen || !needs);
+  const text = !needs ? "enough" : seen ? `the board is seen, now: ${needs}` : `the board: ${needs}`;
+  if (sight && board.textContent !== text) board.textContent = text; // is read out only when it is another
+}
+
 const hold = button("hold");
 const rates = { filmed: 0, sent: 0, bytes: 0, dropped: 0 };
 let shown = "";
@@ -158,6 +169,7 @@ function tell() {
   button("film").disabled = link.state === "ended" && !filming;
   names.disabled = filming !== null;
   hold.hidden = !filming;
+  tellBoard();
   const lines = notes();
   if (lines.join() !== shown) element("notes").replaceChildren(...lines.map((line) => Object.assign(document.createElement("li"), { textContent: line })));
   shown = lines.join();
@@ -167,7 +179,7 @@ function tell() {
 let before = null;
 
 function showFigures() {
-  if (!filming && link.state === "open") link.ask({ type: "cameras" }); // others may have begun to film
+  if (link.state === "open") link.ask({ type: "cameras" }); // others may have begun to film, or the board to be walked
   const dropped = (filming?.dropped ?? 0) + link.counts.dropped;
   const now = { at: performance.now(), filmed: filming?.filmed ?? 0, sent: link.counts.sent, bytes: link.counts.bytes, dropped };
   const seconds = before ? (now.at - before.at) / 1000 : 0;

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any, Protocol
 
 import av
@@ -12,6 +13,7 @@ from streamlod.core.arrays import UInt8
 from streamlod.core.data.announced import AnnouncedPicture, announced_picture
 from streamlod.core.data.pictures import decode
 from streamlod.core.errors import InputError
+from streamlod.server.ingest.board_sight import BoardSight
 from streamlod.server.ingest.cameras.reader import max_pixels
 from streamlod.server.ingest.push.message import SOUND_CODECS, Codec, PushMessage
 from streamlod.server.ingest.push.sound import PushedSound
@@ -51,6 +53,9 @@ class PushTarget(Protocol):
 
     def hears(self, camera: str) -> bool:
         """Whether the camera's sound is wanted."""
+
+    def sight(self, camera: str) -> BoardSight | None:
+        """The camera's sight of the board, if one is looked for."""
 
     def put_sound(self, frame: av.AudioFrame, capture_ns: int) -> None:
         """Sound of that camera has come, recorded from `capture_ns` on."""
@@ -126,13 +131,14 @@ class Intake:
 
     def wanted(self) -> dict[str, Any]:
         """The rig's rate as `fps`, and `cameras` that are pushed: name, width, height, whether one is `taken`, and
-        whether its `sound` is wanted."""
-        hears, is_held = self._target.hears, self._target.is_held
+        whether its `sound` is wanted, and while a board's walk is recorded what it sees of the `board`."""
+        target = self._target
         cameras = [
-            {"name": name, "width": width, "height": height, "taken": is_held(name), "sound": hears(name)}
-            for name, (width, height) in self._target.pushed.items()
+            {"name": name, "width": width, "height": height, "taken": target.is_held(name), "sound": target.hears(name)}
+            | ({} if (sight := target.sight(name)) is None else {"board": asdict(sight)})
+            for name, (width, height) in target.pushed.items()
         ]
-        return {"fps": self._target.fps, "cameras": cameras}
+        return {"fps": target.fps, "cameras": cameras}
 
     def close(self) -> None:
         """The capture node has gone."""

@@ -58,9 +58,10 @@ def test_page_is_small_and_complete(kernel: bytes) -> None:
     """What a live viewer loads is under 120 KB compressed, comments and all (test_built.py weighs what is served);
     nothing comes from elsewhere."""
     files = {path.name: path.read_bytes() for path in WEB.rglob("*.*") if path.suffix not in (".wat", ".py", ".pyc")}
-    live = {"index.html", "style.css", "favicon.svg", "decode/kernel.wasm"} | _reached("ui/main.js", "view/worker.js")
+    live = {"index.html", "base.css", "style.css", "favicon.svg", "decode/kernel.wasm"}
+    live |= _reached("ui/main.js", "view/worker.js")
     assert sum(len(gzip.compress((WEB / name).read_bytes())) for name in live) < 120_000
-    phone = {"capture.html", "capture.css", "style.css", "favicon.svg"} | _reached("ui/capture.js")
+    phone = {"capture.html", "base.css", "capture.css", "favicon.svg"} | _reached("ui/capture.js")
     assert sum(len(gzip.compress((WEB / name).read_bytes())) for name in phone) < 20_000
     for name, content in files.items():
         if not name.endswith(".wasm"):

@@ -31,6 +31,7 @@ def test_who_has_not_seen_the_board_and_who_lacks_which_quarter_is_named() -> No
     assert "a needs it in the lower left" in needs
     assert "upper" not in needs
     assert "b has not seen it" in needs
+    assert coverage.next_needs() == ["lower left", "not seen yet"]
 
 
 def test_a_camera_that_has_seen_little_needs_it_everywhere() -> None:
@@ -40,6 +41,7 @@ def test_a_camera_that_has_seen_little_needs_it_everywhere() -> None:
 def test_a_board_across_the_middle_counts_for_all_quarters_but_few_corners_for_none() -> None:
     middle = shown(WalkCoverage.none(["a"]), board(0.5, 0.5))
     assert list(middle.needs()) == []
+    assert middle.next_needs() == [""]
     few = shown(WalkCoverage.none(["a"]), board(0.5, 0.5)[:4])
     assert not few.begun
 
@@ -54,4 +56,5 @@ def test_cameras_that_never_see_it_at_one_time_are_named() -> None:
     ]:
         coverage = shown(coverage, *corners)
     assert list(coverage.needs()) == ["d and another camera need it at one time"]
+    assert coverage.next_needs() == ["", "", "", "with another camera"]
     assert list(shown(coverage, UNSEEN, UNSEEN, middle, middle).needs()) == []

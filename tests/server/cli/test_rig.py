@@ -8,6 +8,7 @@ import ssl
 import threading
 import time
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 import cv2
@@ -149,8 +150,10 @@ def test_a_calibration_of_another_size_is_refused(tmp_path: Path) -> None:
     assert read_definition(rig).cameras[0].width == WIDTH
 
 
-def film(page: str, camera: str, begin_ns: int, over: threading.Event) -> None:
-    """Push numbered pictures as a phone with that page does, until it is over."""
+def film(
+    page: str, camera: str, begin_ns: int, over: threading.Event, answers: list[dict[str, Any]] | None = None
+) -> None:
+    """Push numbered pictures as a phone with that page does, until it is over; `answers` gets what it is told."""
     parts = urlsplit(page)
     address = f"ws://{parts.netloc}/v1/streams/main/ingest?{parts.query}"
     skew = SKEW_NS if camera == "phone2" else 0
@@ -165,6 +168,9 @@ def film(page: str, camera: str, begin_ns: int, over: threading.Event) -> None:
                     node.send(pack_push(PushMessage(camera, number, taken, Codec.PNG, body)))
                     assert json.loads(node.recv(60))["type"] == "ack"
                     number += 1
+                    if answers is not None:
+                        node.send(json.dumps({"type": "cameras"}))
+                        answers += json.loads(node.recv(60))["cameras"]
         except (WebSocketException, OSError, EOFError):
             over.wait(0.1)  # the rig does not take pictures yet, or the server has ended
 
@@ -178,11 +184,13 @@ def test_phones_are_recorded_on_one_clock(tmp_path: Path) -> None:
     said: list[str] = []
     over, begin = threading.Event(), time.time_ns()
     phones: list[threading.Thread] = []
+    answers: dict[str, list[dict[str, Any]]] = {"phone1": [], "phone2": []}
 
     def say(line: str) -> None:
         said.append(line)
         if match := re.search(r"(phone\d): (http\S+)$", line):
-            phones.append(threading.Thread(target=film, args=(match[2], match[1], begin, over), daemon=True))
+            work = (match[2], match[1], begin, over, answers[match[1]])
+            phones.append(threading.Thread(target=film, args=work, daemon=True))
             phones[-1].start()
 
     settings = Settings(port=0, tokens=tokens)
@@ -192,6 +200,10 @@ def test_phones_are_recorded_on_one_clock(tmp_path: Path) -> None:
         phone.join(60)
         assert not phone.is_alive()
     assert len(phones) == 2
+    for name, told in answers.items():
+        assert {each["name"] for each in told} == {name}
+        assert "board" not in told[0], "nothing is recorded yet"
+        assert told[-1]["board"] == {"seen": False, "needs": "not seen yet"}
     assert any("all 3 cameras at one instant" in line for line in said)
     assert f"next: streamlod calibrate {tmp_path / 'walk'}" in said[-1]
     with pytest.raises(InputError, match="not empty"):

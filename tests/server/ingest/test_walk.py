@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future
 from itertools import count
 from typing import Any
@@ -14,6 +14,7 @@ from streamlod.core.arrays import UInt8
 from streamlod.core.calibration.adjustment import rigid
 from streamlod.core.calibration.board.description import Board
 from streamlod.core.errors import InputError
+from streamlod.server.ingest.board_sight import BoardSight
 from streamlod.server.ingest.sync.clock import ClockSource
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import Instant
@@ -50,9 +51,15 @@ class AtOnce(Executor):
 
 def told(*loads: Callable[[], UInt8] | None, looks: int) -> list[str]:
     """What is said when the same pictures come so many times, the clock a second on whenever it is read."""
+    return told_and_shown(*loads, looks=looks)[0]
+
+
+def told_and_shown(*loads: Callable[[], UInt8] | None, looks: int) -> tuple[list[str], list[Mapping[str, BoardSight]]]:
+    """What is said, and what the cameras' own pages are given."""
     said: list[str] = []
+    shown: list[Mapping[str, BoardSight]] = []
     seconds, names = count(), [f"cam{row}" for row in range(len(loads))]
-    watch = WalkWatch(names, BOARD, said.append, AtOnce(), lambda: float(next(seconds)))
+    watch = WalkWatch(names, BOARD, said.append, shown.append, AtOnce(), lambda: float(next(seconds)))
     for number in range(looks):
         pictures = [
             None if load is None else Picture(name, number, ClockSource.ARRIVAL, 0, number, SIZE, load)
@@ -60,7 +67,7 @@ def told(*loads: Callable[[], UInt8] | None, looks: int) -> list[str]:
         ]
         watch.look(Instant(number, number, tuple(pictures)))
     watch.end()
-    return said
+    return said, shown
 
 
 def test_the_part_of_a_picture_that_never_had_the_board_is_told() -> None:
@@ -80,10 +87,28 @@ def test_a_look_that_breaks_is_logged_once_and_ends_the_watch(caplog: pytest.Log
     def broken() -> UInt8:
         raise RuntimeError("no thread is left")
 
-    assert told(broken, looks=10) == []
+    assert told_and_shown(broken, looks=10) == ([], [{}])
     (line,) = caplog.records
     assert line.getMessage() == "the board's walk is no longer watched, as a look at the pictures broke"
     assert line.exc_info is not None
+
+
+def test_each_camera_is_shown_what_it_sees_and_needs_next() -> None:
+    left, middle = seen_at(-0.25, -0.15), seen_at(0, 0)
+    _, shown = told_and_shown(lambda: left, lambda: middle, lambda: GREY, None, looks=10)
+    unseen = BoardSight(seen=False, needs="not seen yet")
+    assert shown[0] == {
+        "cam0": BoardSight(seen=True, needs="upper left"),
+        "cam1": BoardSight(seen=True, needs="upper left"),
+        "cam2": unseen,
+        "cam3": unseen,
+    }
+    assert shown[-1] == {
+        "cam0": BoardSight(seen=True, needs="upper right"),
+        "cam1": BoardSight(seen=True, needs=""),
+        "cam2": unseen,
+        "cam3": unseen,
+    }
 
 
 def test_enough_is_told() -> None:
