@@ -24,7 +24,7 @@ from streamlod.core.errors import InputError
 from streamlod.core.synthetic.render import depth_bounds, ground_truth, render_image
 from streamlod.core.synthetic.spec import SyntheticSpec, cameras, exposures
 
-_QUALITY = "16"  # constant rate factor of H.264: artefacts stay below the camera noise
+_QUALITY = "16"  # constant rate factor of H.264; fine colour is lost all the same, as in any camera's 4:2:0 video
 _SPEC = Path("ground_truth") / "spec.json"
 _LATER = {"kind", "speed"}  # absent from clips of earlier versions
 _TRUTH_FRAMES = 4  # instants whose ground truth is written: the first, the last and two between
