@@ -15,7 +15,7 @@ from streamlod.server.settings import load_settings
 from tests.client.web.conftest import TEST_FLAGS, chromium_path
 from tests.client.web.test_capture import CAMERA_FLAGS, opened, says
 from tests.server.ingest.push.stage import FPS
-from tests.server.ingest.test_walk import GREY, SIZE, seen_at
+from tests.server.ingest.test_walk import SIZE, seen_at
 
 pytestmark = pytest.mark.browser
 
@@ -31,11 +31,10 @@ def written(file: Path, picture: UInt8) -> Path:
 @pytest.mark.parametrize(
     ("picture", "text"),
     [
-        (GREY, "the board: not seen yet"),
         (seen_at(-0.25, -0.15), "the board is seen, now: upper right"),
         (seen_at(0, 0), "enough"),
     ],
-    ids=["unseen", "seen", "enough"],
+    ids=["seen", "enough"],
 )
 def test_a_page_says_what_its_picture_needs_of_the_board(
     chromium: Any, tmp_path: Path, picture: UInt8, text: str
