@@ -38,7 +38,7 @@ class WatchedRig(Rig):
     def __init__(self, definition: RigDefinition) -> None:
         super().__init__(definition, [camera.name for camera in definition.cameras])
         self.writers: dict[str, _Writer] = {}
-        self.sights: Mapping[str, BoardSight] = {}  # of the board, while its walk is recorded
+        self._sights: Mapping[str, BoardSight] = {}  # of the board, while its walk is recorded
         self._heard_later = None if definition.sound is None else definition.sound.camera
 
     def put(self, picture: Picture) -> None:
@@ -53,11 +53,11 @@ class WatchedRig(Rig):
 
     def sight(self, camera: str) -> BoardSight | None:
         """See `Rig.sight`."""
-        return self.sights.get(camera)
+        return self._sights.get(camera)
 
     def show(self, sights: Mapping[str, BoardSight]) -> None:
         """Have each pushed camera's page tell what the camera sees and needs of the board."""
-        self.sights = sights
+        self._sights = sights
 
 
 @contextmanager

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from streamlod.core.arrays import UInt8
-from streamlod.server.cli.rig import find, watch
-from streamlod.server.settings import load_settings
 from tests.client.web.conftest import TEST_FLAGS, chromium_path
-from tests.client.web.test_capture import CAMERA_FLAGS, opened, says
+from tests.client.web.test_capture import CAMERA_FLAGS, opened, recorded, says
 from tests.server.ingest.push.stage import FPS
 from tests.server.ingest.test_walk import SIZE, seen_at
 
@@ -40,21 +36,11 @@ def test_a_page_says_what_its_picture_needs_of_the_board(
     chromium: Any, tmp_path: Path, picture: UInt8, text: str
 ) -> None:
     """In letters of a centimetre on a phone seven wide, for three metres. Before and after, nothing is said."""
-    file, said = tmp_path / "rig.json", list[str]()
-    find([], file, 1, SIZE, FPS, said.append, overwrite=False)
-    settings = load_settings(tmp_path / "rig.toml").model_copy(update={"host": "127.0.0.1", "port": 0})
-    recording = threading.Thread(
-        target=lambda: watch(file, tmp_path / "walk", 15.0, settings, said.append, overwrite=False), daemon=True
-    )
-    recording.start()
-    limit = time.monotonic() + 60
-    while not (pages := [line.rpartition(" ")[2] for line in said if "each phone: https://" in line]):
-        assert time.monotonic() < limit, said
-        time.sleep(0.05)
+    address, recording = recorded(tmp_path, [], SIZE, 15.0)
     clip = f"--use-file-for-fake-video-capture={written(tmp_path / 'board.y4m', picture)}"
     flags = [*TEST_FLAGS, *CAMERA_FLAGS, clip]
     browser = chromium.browser_type.launch(executable_path=chromium_path(), args=flags)
-    with opened(browser, pages[0], ignore_https_errors=True) as page:
+    with opened(browser, address, ignore_https_errors=True) as page:
         says(page, "Ready to film")
         assert page.is_hidden("#board")
         page.click("#film")

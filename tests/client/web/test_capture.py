@@ -346,22 +346,30 @@ def test_an_upright_phone_films_upright_pictures(chromium: Any, tmp_path: Path) 
     browser.close()
 
 
-def test_a_phone_is_recorded_over_https_before_anything_is_calibrated(phone: Any, tmp_path: Path) -> None:
-    """`streamlod rig` makes the certificate, shows the page's address, and records what the phone films."""
-    still = tmp_path / "still.mp4"
-    write_video(still, [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * (60 * FPS), fps=FPS)
-    file, said = tmp_path / "rig.json", list[str]()
-    find([str(still)], file, 1, (WIDTH, HEIGHT), FPS, said.append, sound="phone1", overwrite=False)
-    settings = load_settings(tmp_path / "rig.toml").model_copy(update={"host": "127.0.0.1", "port": 0})
+def recorded(
+    folder: Path, sources: list[str], size: tuple[int, int], seconds: float, sound: str | None = None
+) -> tuple[str, threading.Thread]:
+    """The address of a phone's page, and the thread in which `streamlod rig` records it beside `sources`."""
+    file, said = folder / "rig.json", list[str]()
+    find(sources, file, 1, size, FPS, said.append, sound=sound, overwrite=False)
+    settings = load_settings(folder / "rig.toml").model_copy(update={"host": "127.0.0.1", "port": 0})
     recording = threading.Thread(
-        target=lambda: watch(file, tmp_path / "walk", 3.0, settings, said.append, overwrite=False), daemon=True
+        target=lambda: watch(file, folder / "walk", seconds, settings, said.append, overwrite=False), daemon=True
     )
     recording.start()
     limit = time.monotonic() + 60
     while not (pages := [line.rpartition(" ")[2] for line in said if "each phone: https://" in line]):
         assert time.monotonic() < limit, said
         time.sleep(0.05)
-    with opened(phone, pages[0], ignore_https_errors=True) as page:
+    return pages[0], recording
+
+
+def test_a_phone_is_recorded_over_https_before_anything_is_calibrated(phone: Any, tmp_path: Path) -> None:
+    """`streamlod rig` makes the certificate, shows the page's address, and records what the phone films."""
+    still = tmp_path / "still.mp4"
+    write_video(still, [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * (60 * FPS), fps=FPS)
+    address, recording = recorded(tmp_path, [str(still)], (WIDTH, HEIGHT), 3.0, sound="phone1")
+    with opened(phone, address, ignore_https_errors=True) as page:
         says(page, "Ready to film")
         page.click("#film")
         says(page, "Filming as phone1")
