@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 from nats.aio.msg import Msg
 from nats.errors import Error
-from nats.js.api import AckPolicy, ConsumerConfig, DeliverPolicy
+from nats.errors import TimeoutError as NoAnswerError
+from nats.js.api import AckPolicy, ConsumerConfig, ConsumerInfo, DeliverPolicy
 
 from streamlod.server.edge.ending import stop_if_cancelled
 from streamlod.server.edge.jetstream.connection import NatsConnection
@@ -24,6 +25,7 @@ _REQUEST = {"max_bytes": 8 << 20, "expires": 5 * 10**9, "idle_heartbeat": 5 * 10
 _SILENT_SECONDS = 1.25  # two heartbeats and a half
 _INACTIVE_SECONDS = 10.0  # after which NATS forgets a consumer
 _RETRY_SECONDS = 0.25
+_MAX_ASKED = 6  # for a reader, 2 s each: NATS never answers what it is asked in an election, which takes 4 to 9 s
 _GOES_ON = {"404", "408"}  # nothing there yet; the request has expired
 _NO_RESPONDERS = "503"  # servers of a cluster learn of a new consumer one after another; or it is lost
 _UNHEARD_SECONDS, _MAX_UNHEARD = 0.05, 20  # between requests that nobody answers, and how many in a row
@@ -110,12 +112,12 @@ async def _consume(
         mem_storage=True,
         num_replicas=1,
     )
-    client, jetstream = connection.client, connection.jetstream
+    client = connection.client
     inbox = client.new_inbox()
     answers = await client.subscribe(inbox)
     consumer = ""
     try:
-        info = await jetstream.add_consumer(selection.stream, config)
+        info = await _new_consumer(connection, selection.stream, config, _MAX_ASKED if finite else 1)
         consumer = info.name
         on_state("")
         if finite and not info.num_pending:
@@ -148,3 +150,17 @@ async def _consume(
             await answers.unsubscribe()
             if consumer:
                 await client.publish(f"$JS.API.CONSUMER.DELETE.{selection.stream}.{consumer}")
+
+
+async def _new_consumer(connection: NatsConnection, stream: str, config: ConsumerConfig, tries: int) -> ConsumerInfo:
+    """A consumer, asked for up to so many times while NATS is connected and does not answer.
+
+    One that was made without an answer is forgotten by NATS as nobody reads from it.
+    """
+    while True:
+        try:
+            return await connection.jetstream.add_consumer(stream, config)
+        except NoAnswerError:
+            tries -= 1
+            if not tries or not connection.client.is_connected:
+                raise

@@ -101,6 +101,12 @@ class Nats:
         name = next(each["cluster"]["leader"] for each in details if each["name"] == stream)
         return next(each for each in self.servers if each.name == name)
 
+    def meta_leader(self) -> NatsServer:
+        """The server of a cluster that answers who asks for a new stream or reader."""
+        with urlopen(f"http://127.0.0.1:{self.servers[0].monitor}/jsz", timeout=60) as answer:
+            name = json.load(answer)["meta_cluster"]["leader"]
+        return next(each for each in self.servers if each.name == name)
+
 
 @contextmanager
 def nats(folder: Path, count: int = 1, more: str = "") -> Iterator[Nats]:
