@@ -71,7 +71,7 @@ def _detect(folder: Path) -> str:
     raise InputError(
         folder,
         "is not a recording in a known layout; it needs camNN.mp4 or cam_N.mp4 with poses_bounds.npy, a COLMAP model "
-        "in sparse/0 with images, a transforms.json, or a camera_array.toml",
+        "in sparse/0 with images, a transforms.json, or a camera_array.toml, as streamlod calibrate makes of a walk",
     )
 
 

@@ -49,7 +49,7 @@ def _recorded(data: Path, layout: str | None) -> RigCheck:
     opened = open_dataset(data, layout=layout)
     count = opened.frame_count
     # pairs of instants one after the other, so that what moves is seen
-    begins = sorted({round(part * max(0, count - 2)) for part in (0.1, 0.5, 0.9)})
+    begins = sorted({round(part * max(0, count - 2)) for part in (0.1, 0.3, 0.5, 0.7, 0.9)})
     frames: list[FrameSet] = []
     for begin in begins:
         with closing(opened.frames(begin, min(count, begin + 2))) as found:  # type: ignore[type-var]

@@ -21,6 +21,7 @@ _STOPS = 1.0
 _DARK, _CLIPPED = 16.0, 0.1  # mean grey value; part of the pixels
 _MOVED = 12  # grey levels
 _FROZEN = 0.3  # mean grey levels between pictures that count as none
+_MEDIAN = 5  # pictures, of which two show what moves in one place
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +59,17 @@ def look_of(camera: str, pictures: Sequence[UInt8]) -> CameraLook:
         float(np.mean([(picture >= 250).all(axis=2).mean() for picture in pictures])),
         float(np.mean([difference.mean() for difference in differences])) if differences else np.nan,
     )
+
+
+def still(pictures: Sequence[UInt8]) -> UInt8:
+    """The picture of what stands still in pictures [H,W,3] of one camera: their median, where there are enough for one.
+
+    What moves shows its features elsewhere in another camera whose picture is some milliseconds older, as those of a
+    board that is walked at few pictures a second, and makes cameras seem knocked that are not.
+    """
+    if len(pictures) < _MEDIAN:
+        return pictures[len(pictures) // 2]
+    return np.asarray(np.median(np.stack(pictures), axis=0), np.uint8)
 
 
 def judged(looks: Sequence[CameraLook]) -> Iterator[RigFinding]:

@@ -61,7 +61,7 @@ def examine(
     if len(seen) > 1:
         present = [cameras[number] for number in seen]
         # what stands still is the same at all instants, so these need not agree
-        pairs = matches.matched([of_camera[number][len(of_camera[number]) // 2] for number in seen])
+        pairs = matches.matched([looks.still(of_camera[number]) for number in seen])
         agreed = agreement.agreements(pairs, present)
         findings += poses.judged(agreed, pairs, [plans[number] for number in seen])
         best[seen] = agreement.misses(agreed, len(present))

@@ -64,6 +64,21 @@ def test_a_knocked_camera_is_named_alone(filmed: Filmed) -> None:
     assert sentence.startswith(f"{cameras[2].name} was knocked or turned")
 
 
+def test_what_is_carried_about_makes_no_camera_look_knocked(filmed: Filmed) -> None:
+    """A thing of many features that cameras see some milliseconds apart, at three places one after the other."""
+    cameras = filmed[0][:4]
+    late = room.frames([turned(camera, 1.5 * (number % 2)) for number, camera in enumerate(cameras)], 6)
+    carried = []
+    for number, (there, elsewhere) in enumerate(zip(room.frames(cameras, 6), late, strict=True)):
+        images = 100 + there.images // 5  # of little contrast
+        begin = number // 2 * cameras[0].width // 3
+        place = slice(begin, begin + cameras[0].width // 3)
+        images[:, :, place] = elsewhere.images[:, :, place]
+        carried.append(replace(there, images=images))
+    check = examine(undistortions(cameras, 1), carried)
+    assert faults(check) == []
+
+
 @pytest.mark.long
 def test_exchanged_names_are_named(filmed: Filmed) -> None:
     cameras, frames = filmed
