@@ -13,6 +13,7 @@ const FINAL = new Set([1008, 1009, 4400, 4401, 4403, 4404, 4415]);
 
 /** @typedef {{ name: string, width: number, height: number, taken: boolean, sound?: boolean, board?: { seen: boolean, needs: string } }} WantedCamera */
 /** @typedef {"jpeg" | "h264" | "opus" | "pcm"} Codec */
+const SOUND = new Set(["opus", "pcm"]);
 
 /** One message: the length of the header, the header in msgpack, the picture. @param {string} camera - of ASCII characters @param {number} sequence @param {number} captureMs - Unix time @param {Codec} codec @param {Uint8Array} picture */
 export function pack(camera, sequence, captureMs, codec, picture) {
@@ -49,13 +50,13 @@ export class PushLink {
     this.cameras = [];
     this.clock = new ServerClock();
     this.counts = { sent: 0, taken: 0, refused: 0, dropped: 0, bytes: 0 };
-    this.refusals = 0; // since the last picture that was taken
+    this.refusals = 0; // of pictures, since the last one that was taken; sound that is refused costs none
     this.refusal = ""; // the newest one's reason
     this.connections = 0;
     this.sequence = 0;
     this.attempts = 0;
     this.heardAt = 0;
-    /** @type {number[]} when the pictures without an answer were sent */
+    /** @type {{ at: number, heard: boolean }[]} when the messages without an answer were sent, and which are sound */
     this.underWay = [];
     /** @type {(() => void)[]} */
     this.asking = [];
@@ -81,7 +82,7 @@ export class PushLink {
   /** Whether a picture taken now would arrive in time. */
   get hasRoom() {
     const [oldest] = this.underWay;
-    return this.state === "open" && (oldest === undefined || performance.now() - oldest < MAX_UNANSWERED_MS)
+    return this.state === "open" && (oldest === undefined || performance.now() - oldest.at < MAX_UNANSWERED_MS)
       && (this.socket?.bufferedAmount ?? 0) < MAX_BUFFERED_BYTES;
   }
 
@@ -90,7 +91,7 @@ export class PushLink {
     if (this.state !== "open" || this.socket?.readyState !== WebSocket.OPEN) return;
     const message = pack(camera, this.sequence++, this.clock.at(captureMs), codec, picture);
     this.socket.send(message);
-    this.underWay.push(performance.now());
+    this.underWay.push({ at: performance.now(), heard: SOUND.has(codec) });
     this.counts.sent++;
     this.counts.bytes += message.length;
   }
@@ -100,13 +101,25 @@ export class PushLink {
     if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(question));
   }
 
-  /** Waits for the answer. @returns {Promise<void>} */
+  /** Waits for the answer; a connection that opens asks by itself. @returns {Promise<void>} */
   askCameras() {
     return new Promise((resolve) => {
-      if (this.socket?.readyState !== WebSocket.OPEN) return resolve();
+      if (!this.socket) return resolve();
       this.asking.push(resolve);
       this.ask({ type: "cameras" });
     });
+  }
+
+  /** Connect anew: the server keeps a name for the connection that sent it, as long as that lasts. */
+  renew() {
+    const socket = this.socket;
+    if (this.state !== "open" || !socket) return;
+    this.counts.dropped += this.underWay.length;
+    this.underWay = [];
+    this.refusals = 0;
+    this.state = "connecting";
+    this.open();
+    socket.close(1000);
   }
 
   close() {
@@ -133,10 +146,10 @@ export class PushLink {
       for (const resolve of this.asking.splice(0)) resolve();
       this.changed();
     } else {
-      this.underWay.shift();
+      const heard = this.underWay.shift()?.heard;
       const taken = answer.type === "ack";
       this.counts[taken ? "taken" : "refused"]++;
-      this.refusals = taken ? 0 : this.refusals + 1;
+      if (!heard) this.refusals = taken ? 0 : this.refusals + 1;
       if (!taken) {
         this.refusal = String(answer.reason);
         this.changed();

@@ -10,6 +10,7 @@ const MAX_REFUSALS = 10; // of pictures one after the other, then filming ends
 const MAX_NEED = 40; // letters of the server's word about the board
 const FIGURES_MS = 1000;
 const STALLED_MS = 3000;
+const RACE_MS = 10_000; // since filming began, within which a lost name was one that two phones were offered at once
 const SLOW = 0.9; // of the rig's rate, below which it is worth a word
 const FULL_SIZE = { width: 1280, height: 720 }; // before the server has said which it wants
 const options = new URLSearchParams(location.search);
@@ -25,6 +26,7 @@ let microphone = null;
 let silence = ""; // why there is no sound, where it is wanted
 let trouble = ""; // why filming ended
 let chosen = options.get("camera"); // name of the camera that this is to be
+let offeredAt = -Infinity; // when it began to film under a name that nobody had chosen
 const link = openLink();
 
 function openLink() {
@@ -37,8 +39,10 @@ function openLink() {
   return new PushLink(address.href, options.get("token"), () => {
     fillNames();
     if (filming && link.refusals >= MAX_REFUSALS) {
+      const why = `The server refuses ${filming.name}: it ${link.refusal}. Press Film again.`;
       chosen = null; // a free name is offered
-      stop(`The server refuses ${filming.name}: it ${link.refusal}. Press Film again.`);
+      stop(why);
+      if (performance.now() - offeredAt < RACE_MS && link.cameras.some(({ taken }) => !taken)) start();
     }
     tell();
   });
@@ -68,6 +72,7 @@ async function start() {
     await video.play();
     await link.askCameras();
     fillNames();
+    offeredAt = chosen === null ? performance.now() : -Infinity;
     filming = new Filming(link, video, media, names.value, options.get("codec") === "jpeg", tell);
     if (link.cameras.find(({ name }) => name === names.value)?.sound) listen(media, names.value);
     filming.track.onended = () => stop("The camera was taken away by another program.");
@@ -115,6 +120,7 @@ function end() {
 
 /** @param {string} why */
 function stop(why) {
+  if (filming) link.renew(); // others may have its name
   end();
   video.hidden = true;
   trouble = why;
@@ -181,7 +187,7 @@ let before = null;
 function showFigures() {
   if (link.state === "open") link.ask({ type: "cameras" }); // others may have begun to film, or the board to be walked
   const dropped = (filming?.dropped ?? 0) + link.counts.dropped;
-  const now = { at: performance.now(), filmed: filming?.filmed ?? 0, sent: link.counts.sent, bytes: link.counts.bytes, dropped };
+  const now = { at: performance.now(), filmed: filming?.filmed ?? 0, sent: filming?.sent ?? 0, bytes: link.counts.bytes, dropped };
   const seconds = before ? (now.at - before.at) / 1000 : 0;
   for (const name of /** @type {const} */ (["filmed", "sent", "bytes", "dropped"])) rates[name] = before && filming ? Math.max(0, now[name] - before[name]) / seconds : 0;
   before = now;

@@ -27,7 +27,7 @@ export class Filming {
     this.over = false;
     this.turned = false; // against what is wanted
     this.newest = performance.now(); // picture
-    this.filmed = this.dropped = 0;
+    this.filmed = this.sent = this.dropped = 0;
     this.connection = 0; // of the newest picture
     /** @type {Awaited<ReturnType<typeof createEncoder>> | null} */
     this.encoder = null;
@@ -95,7 +95,9 @@ export class Filming {
     Object.assign(this.canvas, { width, height });
     createEncoder({ width, height }, link.fps, this.jpeg, (takenMs, codec, picture) => {
       // of an earlier connection, it may refer to pictures that are lost
-      if (!this.over && this.size === size && this.connection === link.connections) link.send(this.name, takenMs, codec, picture);
+      if (this.over || this.size !== size || this.connection !== link.connections) return;
+      this.sent++;
+      link.send(this.name, takenMs, codec, picture);
     }).then((made) => {
       if (this.over || this.size !== size) made.close();
       else this.encoder = made;

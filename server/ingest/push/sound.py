@@ -37,8 +37,12 @@ class PushedSound:
         """
         if message.sequence <= self._newest:
             return []
-        if message.capture_ns is None or abs(message.capture_ns - now_ns) >= PLAUSIBLE_NS:
-            raise InputError(self._subject, "sent sound without a time that can be")
+        if message.capture_ns is None:
+            raise InputError(self._subject, "sent sound without a time")
+        if abs(late_ns := now_ns - message.capture_ns) >= PLAUSIBLE_NS:
+            seconds, most = abs(late_ns) / _SECOND_NS, PLAUSIBLE_NS // _SECOND_NS
+            which = "late" if late_ns > 0 else "early"
+            raise InputError(self._subject, f"sent sound {seconds:.0f} s too {which}, of which {most} s are allowed")
         if len(message.body) > _MAX_BYTES:
             raise InputError(self._subject, f"sent sound of more than {_MAX_BYTES} bytes")
         frames = self._samples(message.body) if message.codec is Codec.PCM else self._packet(message.body)

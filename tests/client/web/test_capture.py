@@ -146,6 +146,28 @@ def test_a_phone_whose_sound_is_wanted_sends_it(phone: Any, codec: str, tmp_path
     assert 0.01 < loud.mean() < 0.7, "beeps, and silence between them"
 
 
+def test_a_phone_whose_sound_is_refused_films_on(phone: Any) -> None:
+    """Sound that comes too late, as of a phone that was busy, while its pictures come seldom."""
+    with stage(Settings(), rig((WIDTH, HEIGHT), 1, sound="phone1")) as found, opened(phone, "about:blank") as page:
+        page.add_init_script(
+            "const settings = MediaStreamTrack.prototype.getSettings;"
+            "MediaStreamTrack.prototype.getSettings = function () {"
+            "  return this.kind === 'audio' ? { latency: 20 } : settings.call(this);"
+            "};"
+        )
+        page.goto(found.page())
+        says(page, "Ready to film")
+        page.click("#film")
+        says(page, "Filming as phone1")
+        found.wait(3)
+        page.evaluate("document.getElementById('picture').pause()")
+        says(page, "The camera gives no pictures")
+        assert re.fullmatch(r"\d{2,}: sent sound 2\d s too late, of which 5 s are allowed", figure(page, "Refused"))
+        page.evaluate("document.getElementById('picture').play()")
+        says(page, "Filming as phone1")
+        found.wait(5)
+
+
 def test_a_phone_without_a_microphone_films_on(phone: Any) -> None:
     with stage(Settings(), rig((WIDTH, HEIGHT), 1, sound="phone1")) as found, opened(phone, "about:blank") as page:
         page.add_init_script(
@@ -216,7 +238,8 @@ def test_filming_goes_on_after_the_stream_was_away(phone: Any) -> None:
 
 
 def test_who_takes_a_name_that_is_in_use_gets_it_and_the_other_is_told(phone: Any) -> None:
-    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(phone, found.page()) as one:
+    """Also of the camera whose sound is wanted; who lost it can take it back once it is free."""
+    with stage(Settings(), rig((WIDTH, HEIGHT), 1, sound="phone1")) as found, opened(phone, found.page()) as one:
         says(one, "Ready to film")
         one.click("#film")
         says(one, "Filming as phone1")
@@ -227,6 +250,40 @@ def test_who_takes_a_name_that_is_in_use_gets_it_and_the_other_is_told(phone: An
             says(two, "Filming as phone1")
             says(one, "The server refuses phone1: it is sent by another phone or capture node now. Press Film again.")
             found.wait(5)
+            two.click("#film")
+            says(two, "Ready to film")
+            one.wait_for_function("document.querySelector('#name option')?.textContent === 'phone1'")
+            one.click("#film")
+            says(one, "Filming as phone1")
+            found.wait(20)
+            says(one, "Filming as phone1")
+
+
+SLOW_ENCODER = """
+const ask = VideoEncoder.isConfigSupported.bind(VideoEncoder);
+const allowed = new Promise((resolve) => (window.allow = resolve));
+VideoEncoder.isConfigSupported = (config) => allowed.then(() => ask(config));
+"""
+
+
+def test_two_phones_that_are_offered_one_name_at_once_film_under_two(phone: Any) -> None:
+    """Both ask before either has sent a picture; who loses the name takes a free one by itself."""
+    with (
+        stage(Settings(), rig((WIDTH, HEIGHT), 2, quorum=2)) as found,
+        opened(phone, "about:blank") as one,
+        opened(phone, "about:blank") as two,
+    ):
+        for page in (one, two):
+            page.add_init_script(SLOW_ENCODER)
+            page.goto(found.page())
+            says(page, "Ready to film")
+            page.click("#film")
+            says(page, "Filming as phone1")
+        for page in (one, two):
+            page.evaluate("window.allow()")
+            page.wait_for_function("document.querySelector('#figures')?.textContent.includes('H.264')")
+        assert all(frame.present.all() for frame in found.wait(10))
+        assert {each.input_value("#name") for each in (one, two)} == {"phone1", "phone2"}
 
 
 def test_a_name_that_was_taken_while_the_browser_asked_for_the_camera_is_left_to_the_other(phone: Any) -> None:

@@ -49,7 +49,7 @@ def test_a_repeat_is_heard_once() -> None:
         (_message(bytes(96_002)), "more than 96000 bytes"),
         (_message(bytes(5)), "half a sample"),
         (_message(bytes(4), capture_ns=None), "without a time"),
-        (_message(bytes(4), capture_ns=NOW_NS + 6_000_000_000), "without a time"),
+        (_message(bytes(4), capture_ns=NOW_NS + 6_000_000_000), "6 s too early"),
         (_message(b"\xff" * 40, Codec.OPUS), "does not decode"),
         (_message(b"\xfb", Codec.OPUS), "does not decode"),
     ],
