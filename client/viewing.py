@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import aclosing
 from pathlib import Path
 
+from streamlod.client.connection.address import live_address
 from streamlod.client.connection.link import WatchOptions
 from streamlod.client.connection.watch import watch
 from streamlod.client.events import Event, NewScene, Notice, Welcome
@@ -78,7 +79,7 @@ async def record_stream(
         raise InputError(url, "the stream ended before it had a picture")
     if take.has_sound and out.suffix == ".mp4":
         token = None if options is None else options.token
-        await asyncio.to_thread(fetch_and_add, url, token, out, take.filmed_ns, take.fps)
+        await asyncio.to_thread(fetch_and_add, live_address(url), token, out, take.filmed_ns, take.fps)
     return take.count
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import random
+import ssl
 from collections.abc import AsyncGenerator
 
 from websockets.exceptions import ConnectionClosed, InvalidStatus, InvalidURI, WebSocketException
@@ -91,6 +92,9 @@ def _reason(url: str, error: Exception, repeated: bool) -> str:
             return text
         case SessionError() if repeated:
             raise error
+        case ssl.SSLCertVerificationError(verify_message=str(text)):
+            trust = "for one of its own making, set SSL_CERT_FILE=rig-certificate.pem or where else it is"
+            raise InputError(url, f"its certificate is not trusted ({text}); {trust}") from error
         case OSError(strerror=str(text)):
             return text
     return str(error) or "no answer"

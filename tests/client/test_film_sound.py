@@ -101,7 +101,7 @@ def recorded(tmp_path: Path, with_sound: bool) -> Path:
     out = tmp_path / "film.mp4"
     with running(Settings(), StreamSpec(play=clip.path, loop=False)) as server:
         server.wait(lambda stream: stream["state"] == "ended")
-        url = f"ws://127.0.0.1:{server.port}/v1/streams/main/live"
+        url = f"http://127.0.0.1:{server.port}"  # the page's
         options = WatchOptions(start=(1, 0))
         assert clip.states[0].header.fps == 30
         asyncio.run(record_stream(url, out, lambda header: lambda number: header.cameras[0], 75, options))

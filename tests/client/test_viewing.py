@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+import ssl
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
@@ -18,10 +20,12 @@ from streamlod.client.viewing import record_stream
 from streamlod.codec.encoder import encode_keyframe
 from streamlod.codec.packet.levels import split_levels
 from streamlod.core.arrays import UInt8
+from streamlod.core.errors import InputError
 from streamlod.core.render.splatter import draw_cloud
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import expand
 from streamlod.core.scene.interpolate import interpolate
+from streamlod.server.service.self_signed import write_self_signed
 from tests.client.clips import packets
 from tests.client.test_playback import WELCOME
 from tests.client.web.scenes import make_scene, moved
@@ -38,7 +42,13 @@ def states(count: int) -> list[Scene]:
     return found
 
 
-def recorded(data: list[bytes], out: Path, frames: int | None = None, fps: float | None = None) -> int:
+def recorded(
+    data: list[bytes],
+    out: Path,
+    frames: int | None = None,
+    fps: float | None = None,
+    secure: ssl.SSLContext | None = None,
+) -> int:
     """Record a stream of these packets from its middle camera; returns the number of pictures."""
 
     async def stream(socket: ServerConnection) -> None:
@@ -49,8 +59,9 @@ def recorded(data: list[bytes], out: Path, frames: int | None = None, fps: float
         await socket.close(1000)
 
     async def run() -> int:
-        async with serve(stream, "127.0.0.1", 0, subprotocols=[SUBPROTOCOL], compression=None) as server:  # type: ignore[list-item]
-            url = f"ws://127.0.0.1:{server.sockets[0].getsockname()[1]}/v1/streams/main/live"
+        offered: list[Any] = [SUBPROTOCOL]
+        async with serve(stream, "127.0.0.1", 0, subprotocols=offered, compression=None, ssl=secure) as server:
+            url = f"ws{'s' if secure else ''}://127.0.0.1:{server.sockets[0].getsockname()[1]}/v1/streams/main/live"
             return await record_stream(url, out, lambda header: lambda number: header.cameras[2], frames, fps=fps)
 
     return asyncio.run(run())
@@ -86,6 +97,20 @@ def test_a_picture_for_each_state(tmp_path: Path) -> None:
     assert recorded(packets(scenes), tmp_path / "out") == 4
     for picture, scene in zip(shown(tmp_path / "out"), scenes, strict=True):
         np.testing.assert_array_equal(picture, drawn(scene))
+
+
+def test_a_certificate_of_a_rigs_own_making_is_trusted_where_it_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    certificate, key = tmp_path / "rig-certificate.pem", tmp_path / "rig-key.pem"
+    write_self_signed(certificate, key, "127.0.0.1")
+    secure = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    secure.load_cert_chain(certificate, key)
+    data = packets(states(2))
+    with pytest.raises(InputError, match=r"is not trusted .self-signed.*set SSL_CERT_FILE=rig-certificate\.pem"):
+        recorded(data, tmp_path / "none", secure=secure)
+    monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
+    assert recorded(data, tmp_path / "film", secure=secure) == 2
 
 
 def test_a_film_of_a_higher_rate_shows_what_lies_between(tmp_path: Path) -> None:
