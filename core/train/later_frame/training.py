@@ -151,8 +151,10 @@ class FrameTraining:
 
         NaN for a camera that nobody had time for, and for one of which nothing was known.
         """
-        unknown = torch.full_like(self._whole.pictures.views.targets, torch.nan)
-        pictures = unknown if self._shown is None else self._shown.clone()
+        if self._shown is None:
+            pictures = torch.full_like(self._whole.pictures.views.targets, torch.nan)
+        else:
+            pictures = self._shown.clone()
         pictures[[number for number in self._useful if number not in self._whole.caches]] = torch.nan
         with torch.no_grad():
             for number, cache in self._whole.caches.items():
