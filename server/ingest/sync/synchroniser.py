@@ -96,7 +96,8 @@ class Synchroniser:
     """Pairs pictures by capture time on a grid of instants.
 
     A jitter buffer: an instant is given out, in order, as soon as every camera that delivers has sent its picture or a
-    later one, at the latest `deadline_ns` after its first picture; with less than `quorum` pictures, it is dropped. A
+    later one, at the latest `deadline_ns` after its first picture; with less than `quorum` pictures, it is dropped. The
+    first one, of which a scene is trained, has those of all cameras, unless they cannot be had in `gather_ns`. A
     picture goes into the nearest instant or nowhere. Memory is bounded: a picture is accepted at most a second ahead,
     and instants close at their deadline.
 
@@ -106,7 +107,7 @@ class Synchroniser:
         quorum: pictures that an instant needs; all by default.
         deadline_ns: two periods by default; up to eight times that where a camera's pictures usually come so late.
         lost_ns: silence after which a camera isn't waited for any more.
-        gather_ns: how long to wait at first for all cameras to deliver.
+        gather_ns: how long to wait at first for all cameras to deliver, and for an instant with all their pictures.
     """
 
     def __init__(
@@ -130,6 +131,7 @@ class Synchroniser:
         self._lost_ns, self._gather_ns = lost_ns, gather_ns
         self._grid: Grid | None = None
         self._began_ns: int | None = None
+        self._has_given = False
         self._open: dict[int, _Open] = {}
         self._closed, self._closed_ns = -1, 0
         self._delay_ns = self._followed_ns = self._now_ns = 0
@@ -333,15 +335,18 @@ class Synchroniser:
 
     def _close(self, number: int, now_ns: int) -> Instant | None:
         assert self._grid is not None
+        assert self._began_ns is not None
         pictures = self._open.pop(number).pictures
         self._closed, self._closed_ns = number, now_ns
         for name, track in self._tracks.items():
             if name not in pictures:
                 track.counts.missing += 1
                 track.is_late = True
-        if len(pictures) < self._quorum:
+        gathers = not self._has_given and now_ns - self._began_ns < self._gather_ns
+        if len(pictures) < (len(self._tracks) if gathers else self._quorum):
             self.dropped += 1
             return None
+        self._has_given = True
         chosen = tuple(pictures.get(name) for name in self._tracks)
         return Instant(number, self._grid.time_of(number), chosen)
 

@@ -42,6 +42,13 @@ def found(folder: Path, *sources: str, phones: int = 0, sound: str | None = None
     return said
 
 
+@pytest.mark.parametrize(("phones", "quorum"), [(3, 3), (4, 3)])
+def test_a_stream_of_four_cameras_goes_on_without_one(tmp_path: Path, phones: int, quorum: int) -> None:
+    found(tmp_path, phones=phones)
+    policy = json.loads((tmp_path / "rig.json").read_text()).get("policy", "require_all")
+    assert read_definition(write_definition(tmp_path, ["push:"] * phones, policy)).quorum == quorum
+
+
 def test_the_file_names_what_gives_pictures_with_its_size(tmp_path: Path) -> None:
     write_video(tmp_path / "a.mp4", [burnt(number) for number in range(8)])
     video = str(tmp_path / "a.mp4")

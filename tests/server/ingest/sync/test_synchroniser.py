@@ -119,6 +119,21 @@ def test_policies_decide_over_incomplete_slots(quorum: int, expected: int) -> No
     assert synchroniser.states(now)["c2"] is CameraState.LOST
 
 
+def test_the_first_instant_has_all_pictures_unless_none_has_in_ten_seconds() -> None:
+    """A scene is trained of it."""
+    late = [entry for entry in filmed(4, 60) if entry[1] != "c2" or entry[2] - UTC not in (PERIOD, 2 * PERIOD)]
+    without_first = [entry for entry in late if entry[1] != "c2" or entry[2] != UTC]
+    _, instants, _ = Film(NAMES, [(5 * MS, "c2", UTC - PERIOD), *without_first]).run(quorum=3)
+    check(instants)
+    assert abs(instants[0].capture_ns - UTC - 3 * PERIOD) <= 1
+    assert None not in instants[0].pictures
+    alternately = [entry for entry in filmed(4, 600) if entry[0] // PERIOD % 2 or entry[1] != "c2"]
+    alternately = [entry for entry in alternately if not entry[0] // PERIOD % 2 or entry[1] != "c1"]
+    synchroniser, instants, _ = Film(NAMES, alternately).run(quorum=3)
+    assert 290 <= synchroniser.dropped <= 310
+    assert len(instants) >= 280
+
+
 def test_a_stopped_camera_is_masked_counted_and_joins_again() -> None:
     """Two seconds of silence, then all the pictures of that time at once, as after SIGSTOP and SIGCONT."""
     arrivals = []
