@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterable
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -81,10 +81,21 @@ def takes(options: Iterable[Option]) -> Callable[[Callable[..., None]], Callable
             inspect.Parameter(each.name, keyword, default=_default(each), annotation=_annotation(each))
             for each in options
         ]
-        command.__signature__ = signature.replace(parameters=own + added)  # type: ignore[attr-defined]
-        return command
+        mappings = {each.name for each in options if _is_mapping(each)}
+
+        @wraps(command)
+        def run(**given: Any) -> None:
+            command(**{name: _together(value) if name in mappings else value for name, value in given.items()})
+
+        run.__signature__ = signature.replace(parameters=own + added)  # type: ignore[attr-defined]
+        return run
 
     return widen
+
+
+def _together(given: list[dict[str, Any]] | None) -> dict[str, Any] | None:
+    """The fields of an option that was given once or several times; of one name the last value."""
+    return {name: value for fields in given for name, value in fields.items()} if given else None
 
 
 def one_of(choices: tuple[str, ...]) -> Callable[[str], str]:
@@ -115,7 +126,7 @@ def _type(option: Option) -> Any:
     if _is_list(option) or get_origin(option.type) is Literal:
         return str
     if _is_mapping(option):
-        return str | None
+        return list[str] | None
     if Path in get_args(option.type):
         return Path | None
     return option.type

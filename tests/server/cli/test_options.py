@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-import pytest
-from typer import BadParameter
+from typing import Any
 
-from streamlod.server.cli.options import fields_in
+import pytest
+import typer
+from typer import BadParameter
+from typer.testing import CliRunner
+
+from streamlod.server.cli.options import TRAINING, fields_in, takes
 
 
 @pytest.mark.parametrize(
@@ -40,3 +44,27 @@ def test_several_fields_and_none() -> None:
     assert fields_in("") == {}
     with pytest.raises(BadParameter):
         fields_in("cameras")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ([], None),
+        (["--set", "keyframe.steps=3,predict.epochs=1"], {"keyframe.steps": 3, "predict.epochs": 1}),
+        (
+            ["--set", "keyframe.steps=3,predict.epochs=1", "--set", "keyframe.steps=4"],
+            {"keyframe.steps": 4, "predict.epochs": 1},
+        ),
+    ],
+)
+def test_settings_that_are_given_in_several_options_all_count(arguments: list[str], expected: object) -> None:
+    seen = dict[str, Any]()
+    app = typer.Typer()
+
+    @app.command()
+    @takes(TRAINING)
+    def train(**options: Any) -> None:
+        seen.update(options)
+
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    assert seen["set"] == expected
