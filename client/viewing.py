@@ -23,6 +23,7 @@ from streamlod.core.scene.anchors import SceneHeader
 from streamlod.core.scene.interpolate import can_interpolate, interpolate
 
 _WHOLE_SECONDS = 10.0  # that the first picture may wait for all levels of its scene
+_MAX_GAP_SECONDS = 10.0  # between two states that a film keeps
 _QUIET_SECONDS = 2.0  # a stream that has ended is over when no packet comes for so long
 
 Tell = Callable[[str], None]
@@ -41,8 +42,9 @@ async def record_stream(
 
     It begins with the first state of which all levels are here, which come one after the other, or after ten seconds.
 
-    At the stream's own rate there is one picture for each state. At another rate, pictures that fall between two states
-    show what lies between them (`core.scene.interpolate`), or the earlier one where a keyframe comes between.
+    A folder at the stream's own rate has one picture for each state. A film, and a folder at another rate, last as long
+    as what they show, but for gaps of more than ten seconds: pictures that fall between two states show what lies
+    between them (`core.scene.interpolate`), or the earlier one where a keyframe comes between.
 
     If the viewpoint moves, it finishes its path around the last scene when the stream is over.
 
@@ -104,6 +106,7 @@ class _Take:
         self._path: CameraPath | None = None
         self._stream_fps = self._film_fps = 1.0  # known with the first state
         self._place = -1  # of the newest state in the stream, in frames
+        self._keeps_time = fps is not None or out.suffix == ".mp4"
         self.newest: NewScene | None = None
         self.count = 0
         self.filmed_ns: list[int | None] = []  # of each picture; None once the stream is over
@@ -169,14 +172,20 @@ class _Take:
         """The pictures after the state before, up to and with the moment of this one."""
         is_over = event is self.newest
         before, self.newest = self.newest or event, event
-        self._place += 1
         path, recorder = self._opened(event.scene.header)
+        step = self._frames_between(before, event)
+        self._place += step
         while not self.is_full and (place := self.count * self._stream_fps / self._film_fps) <= self._place:
-            share = 1 + place - self._place
+            share = 1 + (place - self._place) / step
             recorder.add(await asyncio.to_thread(self._picture, before, event, share, path(self.count)))
             self.filmed_ns.append(None if is_over else _filmed_ns(before, event, share))
             self.count += 1
             self._tell(f"picture {self.count}, version {event.scene.version}")
+
+    def _frames_between(self, before: NewScene, after: NewScene) -> int:
+        """Frames of the stream from one state to the next: more than one where training could not keep up."""
+        seconds = (after.info.time_ns - before.info.time_ns) / 1e9
+        return max(1, round(min(seconds, _MAX_GAP_SECONDS) * self._stream_fps)) if self._keeps_time else 1
 
     def _opened(self, header: SceneHeader) -> tuple[CameraPath, Recorder]:
         if self._path is None or self._recorder is None:

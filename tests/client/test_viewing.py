@@ -17,7 +17,7 @@ from websockets.asyncio.server import ServerConnection, serve
 
 from streamlod.client.connection.link import SUBPROTOCOL
 from streamlod.client.viewing import record_stream
-from streamlod.codec.encoder import encode_keyframe
+from streamlod.codec.encoder import encode_keyframe, encode_residual
 from streamlod.codec.packet.levels import split_levels
 from streamlod.core.arrays import UInt8
 from streamlod.core.errors import InputError
@@ -25,6 +25,7 @@ from streamlod.core.render.splatter import draw_cloud
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import expand
 from streamlod.core.scene.interpolate import interpolate
+from streamlod.core.scene.residual import difference
 from streamlod.server.service.self_signed import write_self_signed
 from tests.client.clips import packets
 from tests.client.test_playback import WELCOME
@@ -131,6 +132,19 @@ def test_a_film_lasts_as_long_as_the_stream(tmp_path: Path, fps: float, count: i
         stream = container.streams.video[0]
         assert float(stream.average_rate or 0) == fps
         assert len(list(container.decode(stream))) == count
+
+
+def test_a_film_of_a_stream_that_leaves_instants_out_lasts_as_long_as_they(tmp_path: Path) -> None:
+    """At 10 frames a second, states of 0, 1 and 1.1 s; a folder has each once."""
+    first, second, third = states(3)
+    assert first.header.fps == 10
+    data = [encode_keyframe(first, time_ns=0, profile=0)]
+    for before, after, time_ns in ((first, second, 10**9), (second, third, 11 * 10**8)):
+        data.append(encode_residual(before, difference(before, after), time_ns=time_ns, profile=0))
+    assert recorded(data, tmp_path / "a.mp4") == 12
+    assert recorded(data, tmp_path / "out") == 3
+    assert recorded(data, tmp_path / "at a rate", fps=FPS) == 12
+    np.testing.assert_array_equal(shown(tmp_path / "at a rate")[5], drawn(first, second, 0.5))
 
 
 def test_a_film_ends_at_the_pictures_that_are_wanted(tmp_path: Path) -> None:
