@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 from urllib.request import urlopen
 
 import pytest
@@ -65,6 +66,12 @@ class NatsServer:
             assert time.monotonic() < limit, (self.folder / "log").read_text()[-2000:]
             time.sleep(0.05)
 
+    def meta_cluster(self) -> dict[str, Any]:
+        """What it knows of the servers of its cluster."""
+        with urlopen(f"http://127.0.0.1:{self.monitor}/jsz", timeout=60) as answer:
+            found: dict[str, Any] = json.load(answer)["meta_cluster"]
+        return found
+
     def kill(self) -> None:
         """SIGKILL."""
         if self.process is not None:
@@ -103,9 +110,25 @@ class Nats:
 
     def meta_leader(self) -> NatsServer:
         """The server of a cluster that answers who asks for a new stream or reader."""
-        with urlopen(f"http://127.0.0.1:{self.servers[0].monitor}/jsz", timeout=60) as answer:
-            name = json.load(answer)["meta_cluster"]["leader"]
+        name = self.servers[0].meta_cluster()["leader"]
         return next(each for each in self.servers if each.name == name)
+
+    def wait(self) -> None:
+        """Until all are healthy and, of a cluster, the one that leads knows that it can place streams on all."""
+        for server in self.servers:
+            server.wait()
+        limit = time.monotonic() + 60
+        while len(self.servers) > 1 and not self._know_each_other():
+            assert time.monotonic() < limit, [server.meta_cluster() for server in self.servers]
+            time.sleep(0.05)
+
+    def _know_each_other(self) -> bool:
+        found = {server.name: server.meta_cluster() for server in self.servers}
+        leaders = {each.get("leader") for each in found.values()}
+        if len(leaders) > 1 or not (leader := found.get(str(*leaders))):
+            return False
+        others = leader.get("replicas") or []
+        return len(others) == len(found) - 1 and all(each["current"] and not each.get("offline") for each in others)
 
 
 @contextmanager
@@ -121,8 +144,7 @@ def nats(folder: Path, count: int = 1, more: str = "") -> Iterator[Nats]:
             found.servers.append(server)
             server.start()
         try:
-            for server in found.servers:
-                server.wait()
+            found.wait()
             yield found
         finally:
             for server in found.servers:
