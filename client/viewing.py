@@ -23,7 +23,7 @@ from streamlod.core.scene.anchors import SceneHeader
 from streamlod.core.scene.interpolate import can_interpolate, interpolate
 
 _WHOLE_SECONDS = 10.0  # that the first picture may wait for all levels of its scene
-_MAX_GAP_SECONDS = 10.0  # between two states that a film keeps
+_MAX_GAP_SECONDS = 10.0  # between two states; in a film a longer one lasts as long
 _QUIET_SECONDS = 2.0  # a stream that has ended is over when no packet comes for so long
 
 Tell = Callable[[str], None]

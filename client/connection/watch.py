@@ -93,7 +93,7 @@ def _reason(url: str, error: Exception, repeated: bool) -> str:
         case SessionError() if repeated:
             raise error
         case ssl.SSLCertVerificationError(verify_message=str(text)):
-            trust = "for one of its own making, set SSL_CERT_FILE=rig-certificate.pem or where else it is"
+            trust = "for a rig's own, set SSL_CERT_FILE=rig-certificate.pem, or wherever that file lies"
             raise InputError(url, f"its certificate is not trusted ({text}); {trust}") from error
         case OSError(strerror=str(text)):
             return text

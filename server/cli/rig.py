@@ -27,7 +27,7 @@ Say = Callable[[str], None]
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _FPS = 30.0  # of phones, and of cameras that tell no rate
 _WALK = "walk"  # folder beside the rig's file, which the board walk is recorded into and calibrates
-_SPARING = 4  # cameras from which on a stream goes on without one of them
+_QUORUM_FROM = 4  # cameras: with so many a stream goes on without one of them
 _WAIT_SECONDS = 600.0  # for all cameras of a rig to deliver
 
 
@@ -88,7 +88,7 @@ def find(
     if rates and rates[-1] > 1.02 * rates[0]:
         say(f"they film at {rates[0]:g} to {rates[-1]:g} pictures a second: set them to one rate")
     value: dict[str, Any] = {"fps": fps or (rates[0] if rates else _FPS), "calibration": _WALK, "cameras": cameras}
-    if len(cameras) >= _SPARING:
+    if len(cameras) >= _QUORUM_FROM:
         value["policy"] = {"quorum": len(cameras) - 1}
     if sound is None:
         say("nothing is heard; --sound NAME, a camera or a microphone, changes that")

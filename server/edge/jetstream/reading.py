@@ -153,9 +153,9 @@ async def _consume(
 
 
 async def _new_consumer(connection: NatsConnection, stream: str, config: ConsumerConfig, tries: int) -> ConsumerInfo:
-    """A consumer, asked for up to so many times while NATS is connected and does not answer.
+    """A consumer, asked for at most `tries` times, as long as NATS is connected and does not answer.
 
-    One that was made without an answer is forgotten by NATS as nobody reads from it.
+    NATS may have made one and lost its answer; it forgets that one, as nobody reads from it.
     """
     while True:
         try:
