@@ -13,7 +13,7 @@ from streamlod.core.arrays import Float64
 from streamlod.core.calibration.adjustment import rigid
 from streamlod.core.calibration.adjustment.projection import matrix_of
 from streamlod.core.calibration.track import MIN_CORNERS
-from streamlod.core.data.names import listed
+from streamlod.core.data.names import spoken
 from streamlod.core.errors import InputError
 
 MIN_SHARED = 5  # instants that two cameras need to see together
@@ -109,11 +109,11 @@ def _boards(views: Sequence[Float64], cameras: Float64) -> Float64:
 
 
 def _apart(names: Sequence[str], placed: dict[int, Float64], most: float) -> InputError:
-    inside = listed((names[number] for number in sorted(placed)), 8)
-    outside = listed((name for number, name in enumerate(names) if number not in placed), 8)
+    inside = spoken((names[number] for number in sorted(placed)), 8)
+    outside = [name for number, name in enumerate(names) if number not in placed]
     often = "never" if most == 0 else f"at {most:.0f} instants only"
     return InputError(
-        f"camera {outside}",
+        f"camera{'s' if len(outside) > 1 else ''} {spoken(outside, 8)}",
         f"saw the board together with {inside} {often}, and {MIN_SHARED} are needed; "
         "hold the board where both see it, or film all cameras in one walk",
     )

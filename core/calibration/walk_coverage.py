@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from streamlod.core.arrays import Float64, Int64
 from streamlod.core.calibration.track import MIN_CORNERS
-from streamlod.core.data.names import listed
+from streamlod.core.data.names import spoken
 
 QUARTERS = ("upper left", "upper right", "lower left", "lower right")  # of a picture
 _ENOUGH = 4  # instants in which the board was in a quarter of a picture
@@ -63,10 +63,11 @@ class WalkCoverage:
             if not times:
                 yield f"{name} has not seen it"
             elif lacking:
-                where = "everywhere" if len(lacking) == len(QUARTERS) else f"in the {listed(lacking, 4)}"
+                where = "everywhere" if len(lacking) == len(QUARTERS) else f"in the {spoken(lacking, 4)}"
                 yield f"{name} needs it {where}"
         if alone := self._alone():
-            yield f"{listed([self.cameras[row] for row in alone], 4)} and another camera need it at one time"
+            together = spoken([*(self.cameras[row] for row in alone), "another camera"], 5)
+            yield f"{together} need it at one time"
 
     def next_needs(self) -> list[str]:
         """Words on what each camera needs next; "" of those that have seen enough."""

@@ -29,6 +29,14 @@ def listed(names: Iterable[str], at_most: int = 40) -> str:
     return ", ".join(names[:at_most]) + rest
 
 
+def spoken(names: Iterable[str], at_most: int = 40) -> str:
+    """`names` as a sentence has them, "a, b and c", cut as `listed` does."""
+    names = list(names)
+    if not 2 <= len(names) <= at_most:
+        return listed(names, at_most)
+    return f"{listed(names[:-1])} and {listed(names[-1:])}"
+
+
 def files_in(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     """Files of `folder` with one of the lower-case `suffixes`, in numeric order; hidden files left out."""
     found = (p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".") and p.is_file())

@@ -11,7 +11,7 @@ from streamlod.core.calibration.checks.exchange import Order, orders
 from streamlod.core.calibration.checks.finding import RigFinding, fact, fault, weak
 from streamlod.core.calibration.checks.matches import PairMatches
 from streamlod.core.data.lens import Undistortion
-from streamlod.core.data.names import listed
+from streamlod.core.data.names import listed, spoken
 
 _ELSEWHERE = 30.0  # pixels at a width of 1000, from which a picture may well be another camera's
 
@@ -29,7 +29,7 @@ def judged(
     for number in sorted(set(range(len(names))) - seen):
         yield weak(f"{names[number]} shares too little with other cameras to check its pose")
     told = {number for each in agreed if len(each.cameras) == 3 for number in each.told}
-    if blind := ", ".join(names[number] for number in sorted(seen - told)):
+    if blind := spoken(names[number] for number in sorted(seen - told)):
         yield fact(f"of {blind} a turn to the side would not be seen: too little is shared with two others at once")
     groups = list(suspects(agreed, len(names)))
     off = sorted({number for group in groups for number in group})
@@ -50,17 +50,17 @@ def judged(
         if len(group) == 1:
             yield fault(f"{names[group[0]]} was knocked or turned: what it sees {lies} its pose puts it; {again}")
         else:
-            some = f"{', '.join(names[number] for number in group[:-1])} and {names[group[-1]]}"
+            some = spoken(names[number] for number in group)
             yield fault(f"one of {some} was knocked or turned: what they see {lies} their poses put it; {again}")
 
 
 def _exchange(order: Order, names: Sequence[str]) -> str:
     moved = [number for number, camera in enumerate(order) if camera != number]
-    some, last = ", ".join(names[number] for number in moved[:-1]), names[moved[-1]]
+    some = spoken(names[number] for number in moved)
     if len(moved) == 2:
-        return f"{some} and {last} are exchanged: each shows what the other's pose sees; swap their names"
+        return f"{some} are exchanged: each shows what the other's pose sees; swap their names"
     right = listed(names[order[number]] for number in moved)
-    return f"{some} and {last} are exchanged: they show what the poses of {right} see, in this order; name them so"
+    return f"{some} are exchanged: they show what the poses of {right} see, in this order; name them so"
 
 
 def _among(agreed: Sequence[Agreement], numbers: Sequence[int]) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from streamlod.core.data.names import camera_names, in_numeric_order, like_most, listed
+from streamlod.core.data.names import camera_names, in_numeric_order, like_most, listed, spoken
 
 
 def test_numbers_sort_as_numbers() -> None:
@@ -16,6 +16,16 @@ def test_numbers_sort_as_numbers() -> None:
 def test_long_lists_are_cut() -> None:
     assert listed(["a", "b", "c"], at_most=2) == "a, b and 1 more"
     assert listed([]) == ""
+
+
+def test_names_in_a_sentence_end_with_and() -> None:
+    assert [spoken("abcd"[:count], at_most=3) for count in range(5)] == [
+        "",
+        "a",
+        "a and b",
+        "a, b and c",
+        "a, b, c and 1 more",
+    ]
 
 
 def test_names_fit_into_a_stream() -> None:

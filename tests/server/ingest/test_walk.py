@@ -74,7 +74,7 @@ def test_the_part_of_a_picture_that_never_had_the_board_is_told() -> None:
     left = seen_at(-0.25, -0.15)
     (*_, last) = told(lambda: left, lambda: GREY, looks=10)
     assert last == (
-        "the board: cam0 needs it in the upper right, lower left, lower right; cam1 has not seen it; "
+        "the board: cam0 needs it in the upper right, lower left and lower right; cam1 has not seen it; "
         "cam1 and another camera need it at one time"
     )
 
