@@ -6,6 +6,8 @@ from typing import Any
 
 from streamlod.server.ingest.sync.synchroniser import CameraState
 
+_SILENT_NS = 5_000_000_000  # of a camera whose connection stands: on a busy machine pictures stay away for seconds
+
 
 def complaint(figures: dict[str, Any]) -> str:
     """Which cameras deliver nothing that can be used, and why, in sentences; empty where none is.
@@ -14,7 +16,7 @@ def complaint(figures: dict[str, Any]) -> str:
         figures: `server.ingest.statistics.Statistics` in JSON, as `Tag.INGEST` has them.
     """
     cameras = figures["cameras"]
-    lost = {name: one["fault"] for name, one in cameras.items() if one["state"] == CameraState.LOST}
+    lost = {name: one["fault"] for name, one in cameras.items() if _is_missed(one)}
     parts = [
         f"camera {name} {one['refused']}" for name, one in cameras.items() if name not in lost and one.get("refused")
     ]
@@ -30,6 +32,14 @@ def complaint(figures: dict[str, Any]) -> str:
             which = f"{len(lost)} of {len(cameras)} cameras are lost: {', '.join(lost)}"
         parts.insert(0, which + (f" ({'; '.join(faults)})" if faults else ""))
     return "; ".join(parts)
+
+
+def _is_missed(camera: dict[str, Any]) -> bool:
+    """Whether a camera is lost, and not merely silent for a moment."""
+    silent_ns = camera["silent_ns"]
+    return camera["state"] == CameraState.LOST and (
+        camera["fault"] != "" or silent_ns is None or silent_ns >= _SILENT_NS
+    )
 
 
 def sound_fault(figures: dict[str, Any]) -> str:

@@ -262,7 +262,7 @@ document.addEventListener("DOMContentLoaded", () => {
 
 def test_a_knocked_camera_is_named_at_the_top_of_the_picture(page: Any, clip: Clip) -> None:
     """With what to do about it."""
-    cameras = {"door": {"state": "ok", "fault": "", "knocked": True}, "wall": {"state": "ok", "fault": ""}}
+    cameras = {"door": {"state": "ok", "fault": "", "knocked": True, "silent_ns": 0}}
     behaviour = Behaviour(fps=5, state="degraded", detail=complaint({"cameras": cameras}))
     with serving(create_app(clip, behaviour)) as url:
         page.goto(f"{url}/?quality=high")

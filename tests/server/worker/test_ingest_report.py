@@ -7,8 +7,8 @@ from typing import Any
 from streamlod.server.worker.ingest_report import complaint
 
 
-def _camera(state: str = "ok", fault: str = "", refused: str = "") -> dict[str, Any]:
-    return {"state": state, "fault": fault, "refused": refused}
+def _camera(state: str = "ok", fault: str = "", refused: str = "", silent_ns: int | None = None) -> dict[str, Any]:
+    return {"state": state, "fault": fault, "refused": refused, "silent_ns": silent_ns}
 
 
 def test_one_lost_camera_is_named_and_several_are_counted() -> None:
@@ -29,3 +29,14 @@ def test_a_knocked_camera_is_named_with_what_to_do_and_not_when_it_is_lost_as_we
     )
     lost = _camera("lost", "Connection refused") | {"knocked": True}
     assert complaint({"cameras": {"cam1": lost}}) == "camera cam1 is lost (Connection refused)"
+
+
+def test_a_silence_is_worth_a_word_after_five_seconds_and_a_fault_or_no_picture_at_all_is_at_once() -> None:
+    """A machine that trains a first frame takes pictures late, of cameras that are well."""
+    states = {4: "", 6: "camera cam1 is lost"}
+    for seconds, said in states.items():
+        silent = _camera("lost", silent_ns=seconds * 1_000_000_000)
+        assert complaint({"cameras": {"cam1": silent, "cam2": _camera()}}) == said
+    failed = _camera("lost", "Connection refused", silent_ns=1_500_000_000)
+    assert complaint({"cameras": {"cam1": failed}}) == "camera cam1 is lost (Connection refused)"
+    assert complaint({"cameras": {"cam1": _camera("lost")}}) == "camera cam1 is lost"
