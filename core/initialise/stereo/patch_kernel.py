@@ -17,7 +17,8 @@ import numpy as np
 from streamlod.core.arrays import Float32, Float64
 
 RADIUS, STRIDE = 4, 2  # a window of 9x9 pixels, of which every second one is looked at: 25 samples
-SAMPLES = (2 * RADIUS // STRIDE + 1) ** 2
+WINDOW = 2 * RADIUS // STRIDE + 1
+SAMPLES = WINDOW**2
 COLOUR_SCALE = 0.05  # a sample whose channels differ by so much from the centre's counts 1/e
 COLOUR_CLAMP = 0.1  # a mean colour difference of this much or more is simply wrong
 UNSEEN = 2.0  # the cost of a plane that no source sees: as bad as can be
@@ -52,7 +53,7 @@ class Pairs(NamedTuple):
     inverse: Float64
 
 
-@numba.njit(parallel=True, nogil=True, cache=True, fastmath=True)
+@numba.njit(parallel=True, nogil=True, cache=True, fastmath=True, error_model="numpy")
 def window_weights(reference: Float32, weights: Float32) -> None:
     """Fill [H,W,25] `weights`: less for samples whose colour is not the centre's, none outside the picture; sum 1."""
     height, width = reference.shape[:2]
@@ -74,7 +75,7 @@ def window_weights(reference: Float32, weights: Float32) -> None:
                 weights[y, x, k] /= total
 
 
-@numba.njit(parallel=True, nogil=True, cache=True, fastmath=True)
+@numba.njit(parallel=True, nogil=True, cache=True, fastmath=True, error_model="numpy")
 def plane_costs(pairs: Pairs, agreement: float, planes: Float64, cost: Float32) -> None:
     """Fill [H,W] `cost` with the costs of `planes` [H,W,3]: (d, a, b) of every pixel.
 
@@ -87,7 +88,7 @@ def plane_costs(pairs: Pairs, agreement: float, planes: Float64, cost: Float32) 
             cost[y, x] = _cost(pairs, agreement, x, y, planes[y, x, 0], planes[y, x, 1], planes[y, x, 2])
 
 
-@numba.njit(parallel=True, nogil=True, cache=True, fastmath=True)
+@numba.njit(parallel=True, nogil=True, cache=True, fastmath=True, error_model="numpy")
 def improve(
     pairs: Pairs,
     agreement: float,
@@ -143,7 +144,7 @@ def improve(
             planes[y, x, 0], planes[y, x, 1], planes[y, x, 2], cost[y, x] = d, a, b, best
 
 
-@numba.njit(nogil=True, cache=True, fastmath=True)
+@numba.njit(nogil=True, fastmath=True, error_model="numpy", forceinline=True)
 def _cost(pairs: Pairs, agreement: float, x: int, y: int, d: float, a: float, b: float) -> np.float32:
     """Mean cost of the two sources that match a plane best, since the others may be occluded."""
     first, second = np.float32(UNSEEN), np.float32(UNSEEN)
@@ -163,7 +164,7 @@ def _cost(pairs: Pairs, agreement: float, x: int, y: int, d: float, a: float, b:
     return min(np.float32(0.5) * (first + second), np.float32(UNSEEN))
 
 
-@numba.njit(nogil=True, cache=True, fastmath=True)
+@numba.njit(nogil=True, fastmath=True, error_model="numpy", forceinline=True)
 def _apart(pairs: Pairs, s: int, x: int, y: int, d: float) -> float:
     """Pixels between (x, y) and where the surface is seen that source s holds at the same place; `APART` at most."""
     rays, shift, back, back_shift = pairs.rays[s], pairs.shifts[s], pairs.back_rays[s], pairs.back_shifts[s]
@@ -180,7 +181,27 @@ def _apart(pairs: Pairs, s: int, x: int, y: int, d: float) -> float:
     return min(math.sqrt(dx * dx + dy * dy), APART)
 
 
-@numba.njit(nogil=True, cache=True, fastmath=True)
+@numba.njit(nogil=True, fastmath=True, error_model="numpy", forceinline=True)
+def _homography(rays: Float64, shift: Float64, x: int, y: int, d: float, a: float, b: float) -> tuple[np.float32, ...]:
+    """Where a source sees the pixels of a plane: u, v and their divisor w at (x, y), each with its growth in x and y.
+
+    They are linear in the pixels, so that each sample of a window takes a few additions.
+    """
+    px, py = x + 0.5, y + 0.5
+    return (
+        np.float32(rays[0, 0] * px + rays[0, 1] * py + rays[0, 2] + shift[0] * d),
+        np.float32(rays[0, 0] + shift[0] * a),
+        np.float32(rays[0, 1] + shift[0] * b),
+        np.float32(rays[1, 0] * px + rays[1, 1] * py + rays[1, 2] + shift[1] * d),
+        np.float32(rays[1, 0] + shift[1] * a),
+        np.float32(rays[1, 1] + shift[1] * b),
+        np.float32(rays[2, 0] * px + rays[2, 1] * py + rays[2, 2] + shift[2] * d),
+        np.float32(rays[2, 0] + shift[2] * a),
+        np.float32(rays[2, 1] + shift[2] * b),
+    )
+
+
+@numba.njit(nogil=True, fastmath=True, error_model="numpy", forceinline=True)
 def _source_cost(
     reference: Float32,
     source: Float32,
@@ -194,34 +215,41 @@ def _source_cost(
     b: float,
 ) -> np.float32:
     """Cost of a plane round the pixel (x, y) against one source; `UNSEEN` where it does not see the pixel."""
-    height, width = source.shape[:2]
-    sw = s0 = s1 = s2 = s3 = s4 = s5 = np.float32(0)
-    third, one = np.float32(1 / 3), np.float32(1)
-    k = -1
-    for dy in range(-RADIUS, RADIUS + 1, STRIDE):
-        for dx in range(-RADIUS, RADIUS + 1, STRIDE):
-            k += 1
-            weight = weights[k]
+    height, width = source.shape[0], source.shape[1]
+    third, half, zero, one, inset = np.float32(1 / 3), np.float32(0.5), np.float32(0), np.float32(1), np.float32(1.001)
+    wide, high = np.float32(width), np.float32(height)
+    u0, ux, uy, v0, vx, vy, w0, wx, wy = _homography(rays, shift, x, y, d, a, b)
+    d0, da, db = np.float32(d), np.float32(a), np.float32(b)
+    sw = s0 = s1 = s2 = s3 = s4 = s5 = zero
+    for row in range(WINDOW):
+        dy = np.float32(row * STRIDE - RADIUS)
+        ur, vr, wr, dr = u0 + uy * dy, v0 + vy * dy, w0 + wy * dy, d0 + db * dy
+        for column in range(WINDOW):
+            weight = weights[np.uint64(row * WINDOW + column)]
             if weight < np.float32(1e-3):
                 continue
-            inverse, px, py = d + a * dx + b * dy, x + dx + 0.5, y + dy + 0.5
-            w = rays[2, 0] * px + rays[2, 1] * py + rays[2, 2] + shift[2] * inverse
-            safe = 1.0 / max(w, 1e-9)
-            u = (rays[0, 0] * px + rays[0, 1] * py + rays[0, 2] + shift[0] * inverse) * safe
-            v = (rays[1, 0] * px + rays[1, 1] * py + rays[1, 2] + shift[1] * inverse) * safe
-            if not (w > 1e-9 and inverse > 0 and 0 < u < width and 0 < v < height):
-                if dx == 0 and dy == 0:
+            dx = np.float32(column * STRIDE - RADIUS)
+            w = wr + wx * dx
+            safe = one / max(w, np.float32(1e-9))
+            u, v = (ur + ux * dx) * safe, (vr + vx * dx) * safe
+            if not (w > np.float32(1e-9) and dr + da * dx > zero and zero < u < wide and zero < v < high):
+                if row == RADIUS // STRIDE and column == RADIUS // STRIDE:
                     return np.float32(UNSEEN)
                 continue
-            u, v = min(max(u - 0.5, 0.0), width - 1.001), min(max(v - 0.5, 0.0), height - 1.001)
-            x0, y0 = int(u), int(v)
-            fu, fv = np.float32(u - x0), np.float32(v - y0)
-            w00, w01, w10, w11 = (one - fu) * (one - fv), fu * (one - fv), (one - fu) * fv, fu * fv
-            grey = own = difference = np.float32(0)
+            u, v = min(max(u - half, zero), wide - inset), min(max(v - half, zero), high - inset)
+            left, top = np.int32(u), np.int32(v)
+            fu, fv = u - np.float32(left), v - np.float32(top)
+            x0, y0 = np.uint32(left), np.uint32(top)  # unsigned: Numba need not ask whether they count from the end
+            x1, y1 = x0 + np.uint32(1), y0 + np.uint32(1)
+            w11 = fu * fv
+            w01, w10 = fu - w11, fv - w11
+            w00 = one - fu - w10
+            yr, xr = np.uint64(y + row * STRIDE - RADIUS), np.uint64(x + column * STRIDE - RADIUS)
+            grey = own = difference = zero
             for channel in range(3):
-                value = source[y0, x0, channel] * w00 + source[y0, x0 + 1, channel] * w01
-                value += source[y0 + 1, x0, channel] * w10 + source[y0 + 1, x0 + 1, channel] * w11
-                mine = reference[y + dy, x + dx, channel]
+                value = source[y0, x0, channel] * w00 + source[y0, x1, channel] * w01
+                value += source[y1, x0, channel] * w10 + source[y1, x1, channel] * w11
+                mine = reference[yr, xr, channel]
                 grey += value
                 own += mine
                 difference += abs(value - mine)
@@ -230,9 +258,10 @@ def _source_cost(
             s0 += weight * grey
             s1 += weight * grey * grey
             s2 += weight * grey * own
-            s3 += weight * difference * third
+            s3 += weight * difference
             s4 += weight * own
             s5 += weight * own * own
+    s3 *= third
     if sw < np.float32(MIN_WEIGHT):
         return np.float32(UNSEEN)
     share = one / sw
