@@ -14,7 +14,7 @@ from starlette.websockets import WebSocket
 
 from streamlod.core.close_codes import CloseCode
 from streamlod.core.errors import SessionError
-from streamlod.server.api.registry import Registry
+from streamlod.server.api.registry import STOPPING, Registry
 from streamlod.server.auth.gate import Gate, Grant, Right
 from streamlod.server.http.problems import Problem
 from streamlod.server.http.site_policy import is_own_host
@@ -105,7 +105,7 @@ async def admit(websocket: WebSocket, right: Right, stream_id: str, *, signed: b
     if problem is not None:
         raise SessionError(CloseCode.FORBIDDEN if problem.status == 403 else CloseCode.UNAUTHORISED, problem.detail)
     if registry.draining:
-        raise SessionError(CloseCode.STOPPING, "the server is stopping; connect again")
+        raise SessionError(CloseCode.STOPPING, STOPPING)
     if stream_id not in registry.streams and registry.unready:
         raise SessionError(CloseCode.BUSY, "the server is not ready yet; try again later")
     if stream_id not in registry.streams:

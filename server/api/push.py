@@ -11,6 +11,7 @@ from starlette.websockets import WebSocket
 from streamlod.core.close_codes import CloseCode
 from streamlod.core.errors import InputError, SessionError
 from streamlod.server.api.access import RECHECK_SECONDS, admit, is_signed, until_withdrawn
+from streamlod.server.api.registry import STOPPING, Registry
 from streamlod.server.auth.gate import Right
 from streamlod.server.http.websocket import CONNECTION, Connection
 from streamlod.server.ingest.push.message import MAX_MESSAGE_BYTES, PushMessage
@@ -68,6 +69,11 @@ async def open_intake(websocket: WebSocket, stream_id: str) -> AnyIntake:
         intake = await asyncio.to_thread(RelayedIntake, stream.push_socket)
     except InputError as error:
         raise SessionError(CloseCode.BUSY, "the stream takes no pictures at present; try again later") from error
+    registry: Registry = websocket.app.state.registry
+    session = asyncio.current_task()
+    assert session is not None
+    registry.publishers.add(session)
+    session.add_done_callback(registry.publishers.discard)
     connection: Connection = websocket.scope[CONNECTION]
     connection.allow_messages_of(MAX_MESSAGE_BYTES)
     return intake if linked is None else _OneCamera(intake, linked)
@@ -82,10 +88,17 @@ async def until_no_publisher(websocket: WebSocket, stream_id: str) -> None:
     raise SessionError(CloseCode.UNAUTHORISED, "the link has expired; ask for another")
 
 
+async def until_stopping(websocket: WebSocket, _: str) -> None:
+    """Wait until the server stops; SessionError then."""
+    registry: Registry = websocket.app.state.registry
+    await registry.stopping.wait()
+    raise SessionError(CloseCode.STOPPING, STOPPING)
+
+
 def _linked_camera(websocket: WebSocket, stream_id: str) -> str | None:
     """The camera for which the address is signed, or none."""
     camera = websocket.query_params.get("camera")
     return camera if camera and is_signed(websocket, scope_of(stream_id, camera), stream_id) else None
 
 
-router = push_router(open_intake, until_no_publisher)
+router = push_router(open_intake, until_no_publisher, until_stopping)

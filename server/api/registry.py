@@ -30,6 +30,7 @@ from streamlod.server.viewer.thin_session import ThinSession
 
 _LOG = logging.getLogger(__name__)
 _RETAIN_SECONDS = 30.0  # between two looks for what is too old
+STOPPING = "the server is stopping; connect again"
 
 
 class Registry:
@@ -60,12 +61,14 @@ class Registry:
         self.streams: dict[str, Stream] = {}
         self._locks: dict[str, tuple[asyncio.Lock, int]] = {}  # of ids, with how many use each
         self.sessions: dict[ViewerSession | ThinSession, str] = {}  # with the viewer's address
+        self.publishers: set[asyncio.Task[Any]] = set()  # sessions of capture nodes
         self.renderer = PictureRenderer(settings.limits.thin_viewers, settings.limits.thin_pixels)
         self.turned_away: Counter[str] = Counter()  # connections, by close code or fault
         self.edges = settings.edges  # where the same streams can be watched; an edge has those of its origin
         self.draining = False
         self.unready = ""  # why viewers should not come yet
         self.on_change: Callable[[Settings], None] = lambda settings: None  # of what runs beside, before it is taken
+        self.stopping = asyncio.Event()  # set when viewers and capture nodes are disconnected
         self._drained = False
         self._sockets: SocketFolder | None = None
         self.kept: dict[str, Recording] = {}  # recordings of streams that were deleted
@@ -231,7 +234,7 @@ class Registry:
         self.feed.tell("stream.changed", stream.id)
 
     async def drain(self) -> None:
-        """Disconnect viewers, stop workers and finish recordings; only the first call does anything.
+        """Disconnect viewers and capture nodes, stop workers and finish recordings; only the first call does anything.
 
         Where there are edges, viewers are told so and served until they have gone there, for a while.
         """
@@ -244,7 +247,8 @@ class Registry:
                 session.drain()
             await self._wait_for_leaving(self.settings.drain_seconds / 4)
         for session in self.sessions:
-            session.end(SessionError(CloseCode.STOPPING, "the server is stopping; connect again"))
+            session.end(SessionError(CloseCode.STOPPING, STOPPING))
+        self.stopping.set()
         for stream in self.streams.values():
             stream.hub.wake()  # requests that wait for something new
         await self._wait_for_leaving(self.settings.drain_seconds / 2)
@@ -263,9 +267,10 @@ class Registry:
             await stream.close()
 
     async def _wait_for_leaving(self, seconds: float) -> None:
-        """Wait until all viewers have gone, for so long at most."""
-        limit = asyncio.get_running_loop().time() + seconds
-        while self.sessions and asyncio.get_running_loop().time() < limit:
+        """Wait until viewers have gone, and capture nodes once they are told to; for so long at most."""
+        loop = asyncio.get_running_loop()
+        limit = loop.time() + seconds
+        while (self.sessions or (self.stopping.is_set() and self.publishers)) and loop.time() < limit:
             await asyncio.sleep(0.02)
 
     def _add(self, spec: StreamSpec) -> WorkerStream:

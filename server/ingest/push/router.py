@@ -38,20 +38,16 @@ class AnyIntake(Protocol):
         """The capture node has gone."""
 
 
-async def _always(_: WebSocket, __: str) -> None:
-    await asyncio.Event().wait()
-
-
 def push_router(
     open_intake: Callable[[WebSocket, str], Awaitable[AnyIntake]],
-    until_withdrawn: Callable[[WebSocket, str], Coroutine[Any, Any, None]] = _always,
+    *ends: Callable[[WebSocket, str], Coroutine[Any, Any, None]],
 ) -> APIRouter:
     """The route ``/v1/streams/{stream_id}/ingest``.
 
     Args:
         open_intake: given the request and the stream's id, checks the right to publish and gives what takes the
             pictures; raises SessionError to refuse.
-        until_withdrawn: waits until the right to publish has ended, and then raises SessionError.
+        ends: each waits until no pictures are taken from there any more, and then raises SessionError.
     """
     router = APIRouter()
 
@@ -72,7 +68,7 @@ def push_router(
             except BaseException:
                 await asyncio.to_thread(intake.close)
                 raise
-            await _first(_take(websocket, intake), until_withdrawn(websocket, stream_id))
+            await _first(_take(websocket, intake), *(end(websocket, stream_id) for end in ends))
         except SessionError as error:
             await _close(websocket, error.close_code, error.detail)
         except ClientDisconnected:  # perhaps before it was accepted, which is for uvicorn to know

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import logging
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
+from streamlod.core.close_codes import CloseCode
 from streamlod.server.auth.gate import hash_token
 from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
 from streamlod.server.settings import Settings
@@ -113,6 +115,15 @@ def test_only_who_may_publish_makes_links_for_cameras(guarded: Stage, clip: Clip
         made = client.post("/v1/streams", json={"id": "clip", "play": str(clip.path)})
         assert made.status_code == 201
         assert client.post("/v1/streams/clip/links", json={"path": "ingest/a"}).status_code == 409
+
+
+def test_capture_nodes_are_told_that_the_server_stops(caplog: pytest.LogCaptureFixture) -> None:
+    with ExitStack() as nodes:
+        with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found:
+            node = nodes.enter_context(pushing(found))
+            assert ask(node, {"type": "time", "sent": 1})["sent"] == 1
+        assert closes(node) == CloseCode.STOPPING
+    assert [record.getMessage() for record in caplog.records if record.levelno >= logging.ERROR] == []
 
 
 def test_questions_are_answered_and_others_close() -> None:
