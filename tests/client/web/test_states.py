@@ -267,3 +267,18 @@ def test_a_knocked_camera_is_named_at_the_top_of_the_picture(page: Any, clip: Cl
     with serving(create_app(clip, behaviour)) as url:
         page.goto(f"{url}/?quality=high")
         chip(page, "Live, but camera door was knocked: put it back or calibrate again")
+
+
+@pytest.mark.parametrize("width", [640, 1280])
+def test_what_is_wrong_with_a_camera_is_not_cut(page: Any, clip: Clip, width: int) -> None:
+    """Beside the tools where there is room, else below them."""
+    page.set_viewport_size({"width": width, "height": 480})
+    fault = "camera phone2 is lost (Connection refused)"
+    with serving(create_app(clip, Behaviour(fps=5, state="degraded", detail=fault))) as url:
+        page.goto(url)
+        chip(page, fault)
+        cut = "({ scrollHeight, clientHeight }) => scrollHeight > clientHeight"
+        assert page.locator("#status-text").evaluate(cut) is False
+        state, tools = page.locator("#identity").bounding_box(), page.locator("#tools").bounding_box()
+        below = state["y"] >= tools["y"] + tools["height"]
+        assert below or state["x"] + state["width"] <= tools["x"]
