@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import itertools
-from dataclasses import replace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -55,19 +57,8 @@ def clip(kernel: bytes) -> Clip:
     return replace(clip, frame_ns=2_000_000_000 // STEP)
 
 
-@pytest.fixture
-def recording(clip: Clip, tmp_path: Path) -> Path:
-    """Three frames."""
-    path = tmp_path / "clip.slod"
-    with SlodWriter(path) as writer:
-        writer.append(clip.key())
-        for version in (0, STEP):
-            writer.append(clip.residual(version, version + STEP))
-    return path
-
-
-@pytest.fixture
-def visit(chromium: Any) -> Any:
+@contextmanager
+def visiting(chromium: Any) -> Iterator[Any]:
     """A page of the size of the rig's pictures; what it says on the console goes into `lines`."""
     context = chromium.new_context(viewport={"width": WIDTH, "height": HEIGHT}, reduced_motion="reduce")
     page = context.new_page()
@@ -78,6 +69,49 @@ def visit(chromium: Any) -> Any:
     context.close()
     harmless = ("GPU stall due to ReadPixels", "No available adapters", "running under WebGL2 backend")
     assert [line for line in page.lines if not any(text in line for text in harmless)] == []
+
+
+@pytest.fixture
+def visit(chromium: Any) -> Iterator[Any]:
+    """See `visiting`."""
+    with visiting(chromium) as page:
+        yield page
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A recording `clip.slod` in a folder, and [H,W,3] in [0, 1] of each of its states with the example's cubes."""
+
+    folder: Path
+    pictures: list[np.ndarray]
+
+
+def recorded(chromium: Any, clip: Clip, folder: Path, packets: list[bytes], states: list[Scene]) -> Recorded:
+    """What all engines have to show: the page's own pictures of `states`, into which the cubes are drawn."""
+    with SlodWriter(folder / "clip.slod") as writer:
+        for packet in packets:
+            writer.append(packet)
+    with visiting(chromium) as page, serving(create_app(clip, Behaviour(), folder)) as url:
+        own = pages_own(page, url, states)
+        page.goto("about:blank")  # it would miss the server
+    return Recorded(folder, [with_cubes(one, state) for one, state in zip(own, states, strict=True)])
+
+
+@pytest.fixture(scope="module")
+def recording(chromium: Any, clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    """Three frames."""
+    packets = [clip.key(), *(clip.residual(version, version + STEP) for version in (0, STEP))]
+    return recorded(chromium, clip, tmp_path_factory.mktemp("frames"), packets, clip.states[::STEP])
+
+
+@pytest.fixture(scope="module")
+def growing(chromium: Any, clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    """Three keyframes, the second of which has more Gaussians than the others."""
+    small = clip.states[0]
+    large = replace(make_scene(1200, view_dependent=False), header=small.header, weights=small.weights)
+    states = [small, as_keyframe(large, STEP), as_keyframe(small, 2 * STEP)]
+    packets = [encode_keyframe(state, time_ns=number * 2_000_000_000) for number, state in enumerate(states)]
+    return recorded(chromium, clip, tmp_path_factory.mktemp("growing"), packets, states)
 
 
 def with_examples(app: FastAPI, engine: str) -> FastAPI:
@@ -139,25 +173,23 @@ def comes_to_agree(page: Any, expected: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_recording_plays_among_things_of_the_scene(visit: Any, clip: Clip, recording: Path, engine: str) -> None:
+def test_a_recording_plays_among_things_of_the_scene(visit: Any, clip: Clip, recording: Recorded, engine: str) -> None:
     """Each frame as on the page, again from the begin; a cube before the splats hides them, one behind is hidden."""
-    states = clip.states[::STEP]
-    with serving(with_examples(create_app(clip, Behaviour(), recording.parent), engine)) as url:
-        expected = [with_cubes(own, state) for own, state in zip(pages_own(visit, url, states), states, strict=True)]
-        assert all(likeness(a, b) < AGREEMENT - 5 for a, b in itertools.pairwise(expected))
+    pictures = recording.pictures
+    assert all(likeness(a, b) < AGREEMENT - 5 for a, b in itertools.pairwise(pictures))
+    with serving(with_examples(create_app(clip, Behaviour(), recording.folder), engine)) as url:
         visit.goto(f"{url}/web/{engine}.html?stream=/files/clip.slod")
-        for picture_then in [*expected, expected[0]]:
+        for picture_then in [*pictures, pictures[0]]:
             comes_to_agree(visit, picture_then)
         visit.goto("about:blank")  # it would miss the server
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_live_stream_plays_as_it_comes(visit: Any, clip: Clip, recording: Path, engine: str) -> None:
+def test_a_live_stream_plays_as_it_comes(visit: Any, clip: Clip, recording: Recorded, engine: str) -> None:
     """Version after version, whenever the server has one."""
     behaviour = Behaviour(newest=STEP, fps=1000)
-    with serving(with_examples(create_app(clip, behaviour, recording.parent), engine)) as url:
-        states = clip.states[STEP::STEP]
-        before, after = (with_cubes(o, s) for o, s in zip(pages_own(visit, url, states), states, strict=True))
+    with serving(with_examples(create_app(clip, behaviour, recording.folder), engine)) as url:
+        _, before, after = recording.pictures
         visit.goto(f"{url}/web/{engine}.html")
         comes_to_agree(visit, before)
         behaviour.newest = 2 * STEP
@@ -168,19 +200,13 @@ def test_a_live_stream_plays_as_it_comes(visit: Any, clip: Clip, recording: Path
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_keyframes_with_more_gaussians_than_all_before_are_shown_whole(
-    visit: Any, clip: Clip, tmp_path: Path, engine: str
+    visit: Any, clip: Clip, growing: Recorded, engine: str
 ) -> None:
     """Buffers are made anew when a keyframe needs more than they hold, and what is left over of them is not drawn."""
-    small = clip.states[0]
-    large = replace(make_scene(1200, view_dependent=False), header=small.header, weights=small.weights)
-    states = [small, as_keyframe(large, STEP), as_keyframe(small, 2 * STEP)]
-    with SlodWriter(tmp_path / "clip.slod") as writer:
-        for number, state in enumerate(states):
-            writer.append(encode_keyframe(state, time_ns=number * 2_000_000_000))
-    with serving(with_examples(create_app(clip, Behaviour(), tmp_path), engine)) as url:
-        expected = [with_cubes(own, state) for own, state in zip(pages_own(visit, url, states), states, strict=True)]
-        assert likeness(expected[0], expected[1]) < AGREEMENT - 5
+    pictures = growing.pictures
+    assert likeness(pictures[0], pictures[1]) < AGREEMENT - 5
+    with serving(with_examples(create_app(clip, Behaviour(), growing.folder), engine)) as url:
         visit.goto(f"{url}/web/{engine}.html?stream=/files/clip.slod")
-        for picture_then in [*expected, expected[1]]:
+        for picture_then in [*pictures, pictures[1]]:
             comes_to_agree(visit, picture_then)
         visit.goto("about:blank")
