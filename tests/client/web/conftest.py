@@ -98,8 +98,9 @@ def chromium_webgpu(launch: Callable[[list[str]], Any]) -> Iterator[Any]:
     browser.close()
 
 
-# Of the driver on tests that look at the picture, and of browsers without WebGPU on pages that ask for it.
-REMARKS = ("GPU stall due to ReadPixels", "No available adapters")
+# Of the driver on tests that look at the picture, of browsers without WebGPU on pages that ask for it, and of pages
+# that outlive their test's server by a moment.
+REMARKS = ("GPU stall due to ReadPixels", "No available adapters", "ERR_CONNECTION_REFUSED")
 
 
 class Console:
