@@ -34,7 +34,7 @@ def test_a_known_lens_of_another_camera_is_refused() -> None:
     tele[3, :2] *= 2  # those of the others are too much alike to be told from one small board
     truth = replace(truth, lenses=tele)
     right = known_lenses(truth)
-    tracks = walked(truth, fps=FPS, seconds=20)
+    tracks = walked(truth, fps=FPS, seconds=16)
     check_known(tracks, right, BOARD.corners)
     swapped = right | {"cam_0": right["cam_3"], "cam_3": right["cam_0"]}
     with pytest.raises(InputError, match=r"camera cam_3: its known lens does not fit.*that of cam_0 fits"):
@@ -60,7 +60,7 @@ def half(track: Track, begin: float, end: float) -> Track:
 def test_poses_lenses_and_offsets_of_distorted_cameras_are_found() -> None:
     truth, rate = rig(), 15.0
     offsets = np.array([0.0, 0.5, -0.35, 0.2]) / rate
-    found = calibrate(walked(truth, fps=rate, seconds=60, offsets=offsets), BOARD)
+    found = calibrate(walked(truth, fps=rate, seconds=30, offsets=offsets), BOARD)
     degrees, metres = differences(poses_of(found), truth.poses)
     assert degrees.max() < 0.1
     assert metres.max() < 0.002
@@ -87,7 +87,7 @@ def test_standard_errors_say_how_well_poses_are_known() -> None:
 @pytest.mark.long
 def test_pictures_with_uneven_times_are_not_taken_for_another_lens() -> None:
     truth = rig(arc=60.0)
-    tracks = walked(truth, fps=FPS, seconds=40, uneven=0.005)
+    tracks = walked(truth, fps=FPS, seconds=24, uneven=0.005)
     found = calibrate(tracks, BOARD)
     degrees, _ = differences(poses_of(found), truth.poses)
     assert degrees.max() < 0.1
@@ -112,7 +112,7 @@ def test_few_corners_that_are_far_less_exact_do_not_outweigh_the_others() -> Non
 def test_clips_that_began_seconds_apart_are_brought_to_one_time() -> None:
     truth = rig(3)
     offsets = np.array([0.0, 3.04, -2.29])
-    found = calibrate(walked(truth, fps=FPS, seconds=24, offsets=offsets), BOARD, known_lenses(truth))
+    found = calibrate(walked(truth, fps=FPS, seconds=16, offsets=offsets), BOARD, known_lenses(truth))
     assert np.abs(found.offsets - (offsets - offsets[found.root])).max() * FPS < 0.1
 
 
@@ -122,7 +122,7 @@ def test_upside_down_and_sideways_cameras_are_ordinary() -> None:
     turns = np.radians([180.0, 0.0, 90.0, 0.0])
     about_z = np.stack([np.zeros(4), np.zeros(4), turns, *np.zeros((3, 4))], axis=1)
     truth = replace(truth, poses=rigid.after(about_z, truth.poses), size=(640, 640))
-    found = calibrate(walked(truth, fps=FPS, seconds=20), BOARD, known_lenses(truth))
+    found = calibrate(walked(truth, fps=FPS, seconds=12), BOARD, known_lenses(truth))
     assert differences(poses_of(found), truth.poses)[0].max() < 0.1
     heights = np.array([camera.centre[2] for camera in found.cameras])
     assert np.abs(np.diff(heights) - 0.15).max() < 0.05  # z is up although two cameras are not upright
@@ -134,16 +134,16 @@ def test_a_board_that_lay_on_the_floor_is_the_floor() -> None:
 
     def boards(times: Float64) -> Float64:
         lying = np.concatenate([rigid.pose(np.diag([1.0, -1.0, -1.0, 1.0]))[:3], [-0.2, 0.1, 0.0]])
-        return np.where((times > 20)[:, None], lying, board_at(times))
+        return np.where((times > 12)[:, None], lying, board_at(times))
 
-    found = calibrate(walked(truth, fps=FPS, seconds=23, boards=boards), BOARD, known_lenses(truth))
+    found = calibrate(walked(truth, fps=FPS, seconds=15, boards=boards), BOARD, known_lenses(truth))
     assert found.floor_by_board
     heights = np.array([camera.centre[2] for camera in found.cameras])
     assert np.abs(heights - [1.6, 1.75, 1.9, 2.05]).max() < 0.01
 
 
 def test_cameras_that_never_see_the_board_together_are_named() -> None:
-    tracks = walked(rig(), fps=FPS, seconds=24)
+    tracks = walked(rig(), fps=FPS, seconds=16)
     parted = [*(half(track, 0, 0.45) for track in tracks[:3]), half(tracks[3], 0.55, 1)]
     with pytest.raises(InputError, match=r"camera cam_3: saw the board together with cam_0, cam_1 and cam_2 never"):
         calibrate(parted, BOARD, known_lenses(rig()))
@@ -162,7 +162,7 @@ def test_a_camera_that_saw_the_board_too_rarely_is_named() -> None:
 @pytest.mark.parametrize("when", ["last", "first"])
 def test_a_camera_that_was_knocked_during_the_walk_is_named(when: str) -> None:
     """By four degrees, for so short a time that what it saw then would pass for a few outliers."""
-    truth, seconds = rig(), 24.0
+    truth, seconds = rig(), 16.0
     turned = truth.poses.copy()
     turned[2] = rigid.after(np.array([0, np.radians(4), 0, 0, 0, 0]), truth.poses[2:3])[0]
 
@@ -194,7 +194,7 @@ def test_a_camera_that_was_turned_in_the_midst_of_a_walk_is_named() -> None:
 @pytest.mark.long
 def test_a_video_of_another_walk_is_named() -> None:
     truth = rig()
-    tracks = walked(truth, fps=FPS, seconds=24)
-    other = walked(truth, fps=FPS, seconds=24, boards=lambda times: board_at(1.37 * times + 50))
+    tracks = walked(truth, fps=FPS, seconds=16)
+    other = walked(truth, fps=FPS, seconds=16, boards=lambda times: board_at(1.37 * times + 50))
     with pytest.raises(InputError, match="camera cam_1: "):
         calibrate([tracks[0], other[1], *tracks[2:]], BOARD, known_lenses(truth))
