@@ -172,7 +172,8 @@ def _apart(pairs: Pairs, s: int, x: int, y: int, d: float) -> float:
     w = rays[2, 0] * px + rays[2, 1] * py + rays[2, 2] + shift[2] * d
     u = (rays[0, 0] * px + rays[0, 1] * py + rays[0, 2] + shift[0] * d) / w
     v = (rays[1, 0] * px + rays[1, 1] * py + rays[1, 2] + shift[1] * d) / w
-    there = pairs.inverse[s, int(v), int(u)]
+    bottom, right = pairs.inverse.shape[1] - 1, pairs.inverse.shape[2] - 1
+    there = pairs.inverse[s, min(int(v), bottom), min(int(u), right)]  # inside by float32 may be an edge by float64
     q = back[2, 0] * u + back[2, 1] * v + back[2, 2] + back_shift[2] * there
     if q <= 1e-9:
         return APART

@@ -119,6 +119,27 @@ def test_costs_are_those_of_the_reference() -> None:
     assert compared > 50
 
 
+def test_surfaces_are_looked_up_within_the_source() -> None:
+    """A pixel that is seen on a source's lower edge lies on one side of it in float32, and on the other in float64."""
+    generator = np.random.default_rng(4)
+    grey = WorkingViews(CAMERAS, np.full((3, HEIGHT, WIDTH, 3), 0.5, np.float32))
+    held = np.zeros((2, HEIGHT, WIDTH))  # the second one lies behind the source's in memory, and is none of its own
+    usual = pairs_of(grey, 1, [2], 0.0)._replace(rays=np.eye(3)[None], back_rays=np.eye(3)[None], inverse=held[:1])
+    x, y, costs = 0, 10, np.empty((2, 300), np.float32)
+    for trial in range(300):
+        down, away = 40.0, generator.uniform(0.1, 0.5)
+        beyond = HEIGHT * (1 + generator.uniform(0, 1e-8))
+        planes = np.zeros((HEIGHT, WIDTH, 3))
+        planes[y, x, 0] = (beyond - (y + 0.5)) / (down - beyond * away)
+        pairs = usual._replace(shifts=np.array([[0.0, down, away]]), back_shifts=np.array([[0.0, -1.0, 0.0]]))
+        for row, surface in enumerate((0.0, HEIGHT - (y + 0.5))):
+            held[1], cost = surface, np.empty((HEIGHT, WIDTH), np.float32)
+            patch_kernel.plane_costs(pairs, 0.3, planes, cost)
+            costs[row, trial] = cost[y, x]
+    assert (costs[0] < UNSEEN).sum() > 30
+    np.testing.assert_array_equal(*costs)
+
+
 def test_a_floor_seen_at_a_slant_is_measured() -> None:
     """Windows that face the cameras find less than half of it."""
     facing = sweep_views(views(), BOUNDS, 96)
