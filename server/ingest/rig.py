@@ -53,7 +53,6 @@ class _Last:
     ended: bool = False
     put: int = 0
     newest_ns: int | None = None
-    arrived_ns: int | None = None
     holder: object = None  # the capture node that pushes it
 
 
@@ -158,7 +157,7 @@ class Rig:
             last = self._last[picture.camera]
             last.source, last.error_ns = picture.source, picture.error_ns
             last.put += 1
-            last.newest_ns, last.arrived_ns = picture.capture_ns, self._timeline.now_ns()
+            last.newest_ns = picture.capture_ns
             if not self._paced:
                 self._change.notify_all()  # others may have waited for this camera
                 self._change.wait_for(lambda: self._stopped or self._has_room(picture.capture_ns))
@@ -287,6 +286,7 @@ class Rig:
         with self._change:
             now = self._clock_ns()
             states, counts = self._synchroniser.states(now), self._synchroniser.counts()
+            silences = self._synchroniser.silences_ns(now)
             cameras = {}
             for name, last in self._last.items():
                 clock, connections = clocks.get(name, (None, 0))
@@ -302,7 +302,7 @@ class Rig:
                     last.refused,
                     last.shift,
                     last.knocked,
-                    None if last.arrived_ns is None else self._timeline.now_ns() - last.arrived_ns,
+                    silences[name],
                 )
             return Statistics(
                 self._synchroniser.is_degraded(now),

@@ -14,7 +14,8 @@ class CameraStatistics:
 
     `refused` says why its newest picture could not be used for training, and is empty when it could. `shift` is how far
     what it sees has moved in its picture since it is read, in pixels at a width of 1000, None where that is not known;
-    a camera that was `knocked` is not trained on. `silent_ns` is how long no picture has come, None before the first.
+    a camera that was `knocked` is not trained on. `silent_ns` is how long no picture has come, None before
+    the first and after it has gone.
     """
 
     state: CameraState

@@ -37,9 +37,8 @@ def complaint(figures: dict[str, Any]) -> str:
 def _is_missed(camera: dict[str, Any]) -> bool:
     """Whether a camera is lost, and not merely silent for a moment."""
     silent_ns = camera["silent_ns"]
-    return camera["state"] == CameraState.LOST and (
-        camera["fault"] != "" or silent_ns is None or silent_ns >= _SILENT_NS
-    )
+    is_silent = silent_ns is None or silent_ns >= _SILENT_NS
+    return camera["state"] == CameraState.LOST and (camera["fault"] != "" or is_silent)
 
 
 def sound_fault(figures: dict[str, Any]) -> str:

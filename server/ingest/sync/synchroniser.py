@@ -150,6 +150,11 @@ class Synchroniser:
         """The state of each camera."""
         return {name: self._state(track, now_ns) for name, track in self._tracks.items()}
 
+    def silences_ns(self, now_ns: int) -> dict[str, int | None]:
+        """How long no picture of each camera has come; None before the first, and after it has gone."""
+        came = {name: track.arrived_ns for name, track in self._tracks.items()}
+        return {name: None if at_ns is None else now_ns - at_ns for name, at_ns in came.items()}
+
     def is_degraded(self, now_ns: int) -> bool:
         """Whether some camera is lost."""
         return CameraState.LOST in self.states(now_ns).values()

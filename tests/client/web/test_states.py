@@ -262,7 +262,8 @@ document.addEventListener("DOMContentLoaded", () => {
 
 def test_a_knocked_camera_is_named_at_the_top_of_the_picture(page: Any, clip: Clip) -> None:
     """With what to do about it."""
-    cameras = {"door": {"state": "ok", "fault": "", "knocked": True, "silent_ns": 0}}
+    well = {"state": "ok", "fault": "", "silent_ns": 0}
+    cameras = {"door": well | {"knocked": True}, "wall": well}
     behaviour = Behaviour(fps=5, state="degraded", detail=complaint({"cameras": cameras}))
     with serving(create_app(clip, behaviour)) as url:
         page.goto(f"{url}/?quality=high")

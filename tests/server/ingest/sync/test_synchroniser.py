@@ -117,6 +117,10 @@ def test_policies_decide_over_incomplete_slots(quorum: int, expected: int) -> No
     assert (synchroniser.dropped > 50) == (expected == 0)
     assert synchroniser.is_degraded(now)
     assert synchroniser.states(now)["c2"] is CameraState.LOST
+    silences = synchroniser.silences_ns(now)
+    assert silences.pop("c2") > 29 * PERIOD > 10 * PERIOD > max(silences.values())
+    synchroniser.leave("c0", now)
+    assert synchroniser.silences_ns(now)["c0"] is None
 
 
 def test_the_first_instant_has_all_pictures_unless_none_has_in_ten_seconds() -> None:
