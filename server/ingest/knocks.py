@@ -6,18 +6,17 @@ half of the cameras seem to have moved, it is the scene that did. A look that br
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor
 
 import numpy as np
 
 from streamlod.core.arrays import Bool, UInt8
 from streamlod.core.calibration.checks.matches import Features
 from streamlod.core.calibration.checks.shift import OFF, Shift, landmarks, shift
+from streamlod.server.ingest.watch import Watch
 
-_log = logging.getLogger(__name__)
 _SHARE = 0.02  # of the time that looking may take
 _SAVED_SECONDS = 10.0  # in which nothing was looked at count as time for it; frames that train long are few
 _RENEWED_BELOW = 0.25  # share of its landmarks; a camera in its place that shows fewer gets new ones
@@ -39,8 +38,7 @@ class Knocks:
         self._landmarks: list[Features | None] = [None] * count
         self._last: list[Shift | None] = [None] * count
         self._clock, self._next, self._due = clock, 0, -np.inf
-        self._looking: Future[None] | None = None
-        self._broken = False
+        self._watch = Watch("knocked cameras are no longer watched for")
 
     @property
     def knocked(self) -> Bool:
@@ -50,14 +48,9 @@ class Knocks:
 
     def look(self, images: Sequence[UInt8] | UInt8, present: Bool, pool: Executor) -> None:
         """Look at some of the newest pictures [H,W,3] on a thread of `pool`, as far as there is time."""
-        if self._broken or (self._looking is not None and not self._looking.done()):
-            return
-        if self._looking is not None and (error := self._looking.exception()) is not None:
-            _log.error("knocked cameras are no longer watched for, as a look at the pictures broke", exc_info=error)
-            self._broken = True
+        self._watch.begin(lambda: self._look(images, present), pool)
+        if self._watch.broken:
             self.shifts = [None] * len(self.shifts)
-            return
-        self._looking = pool.submit(self._look, images, present)
 
     def _look(self, images: Sequence[UInt8] | UInt8, present: Bool) -> None:
         for _ in range(len(present)):

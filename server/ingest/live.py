@@ -27,6 +27,7 @@ from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.server.ingest.ahead import just_in_time
 from streamlod.server.ingest.cameras.definition import RigDefinition, read_definition
 from streamlod.server.ingest.knocks import Knocks
+from streamlod.server.ingest.poses import PoseWatch
 from streamlod.server.ingest.push.intake import Intake
 from streamlod.server.ingest.push.relay import listening
 from streamlod.server.ingest.rig import Rig
@@ -165,7 +166,7 @@ class LiveDataset:
             if self.definition.realtime:
                 found = stack.enter_context(closing(just_in_time(undistort, lambda _: rig.note_stale())))
             first: Instant | None = None
-            knocks = Knocks(len(self.cameras))
+            knocks, poses = Knocks(len(self.cameras)), PoseWatch(self.undistortions, rig.note_poses)
             while index != stop:
                 rig.waiting = True
                 newest = next(found, None)
@@ -182,6 +183,7 @@ class LiveDataset:
                 rig.note_shifts(knocks.shifts, knocked := knocks.knocked)
                 if (present & ~knocked).any():  # a knocked camera shows what is not where its pose says
                     present = present & ~knocked
+                poses.look(images, present, pool)
                 yield FrameSet(index, time_ns, images, present, latency_ns)
                 index += 1
 

@@ -84,6 +84,7 @@ class Rig:
         self._last = {name: _Last() for name in self._names}
         self._instants: deque[Instant] = deque()
         self._virtual_ns = 0
+        self._pose_faults: tuple[str, ...] = ()
         self._delivered = self._stale = self._latency_ns = 0
         quorum = self._quorum = max(1, definition.quorum - (len(definition.cameras) - len(self._names)))
         self._synchroniser = Synchroniser(
@@ -269,6 +270,13 @@ class Rig:
                     _LOG.warning("camera %s was knocked: its picture has moved by %.0f of 1000 pixels", name, pixels)
                 last.shift, last.knocked = pixels, bool(is_knocked)
 
+    def note_poses(self, faults: tuple[str, ...]) -> None:
+        """Faults of the cameras' poses, see `poses`."""
+        with self._change:
+            for fault in set(faults) - set(self._pose_faults):
+                _LOG.warning("%s", fault)
+            self._pose_faults = faults
+
     def failure(self) -> InputError | None:
         """Why a rig of files has given out nothing, if a file is at fault."""
         with self._change:
@@ -314,6 +322,7 @@ class Rig:
                 self._synchroniser.steps,
                 cameras,
                 sound,
+                self._pose_faults,
             )
 
     def _wait_for_pictures(self, capture_ns: int) -> None:

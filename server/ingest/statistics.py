@@ -45,6 +45,7 @@ class Statistics:
         clock_steps: times that the cameras' common clock was stepped.
         cameras: by name.
         sound: why nothing is heard, in a sentence; empty where there is sound; None where none is wanted.
+        poses: a sentence about each fault of the cameras' poses, as far as what the cameras share tells.
     """
 
     degraded: bool
@@ -56,3 +57,4 @@ class Statistics:
     clock_steps: int
     cameras: dict[str, CameraStatistics]
     sound: str | None = None
+    poses: tuple[str, ...] = ()

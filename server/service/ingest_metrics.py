@@ -18,6 +18,7 @@ _OF_RIGS: tuple[Family, ...] = (
     (_COUNTER, "ingest_dropped_stale", lambda rig: rig["dropped_stale"], "instants that training was too slow for"),
     (_COUNTER, "ingest_dropped_incomplete", lambda rig: rig["dropped_incomplete"], "instants with too few cameras"),
     (_COUNTER, "ingest_clock_steps", lambda rig: rig["clock_steps"], "times that most cameras' clocks were stepped"),
+    (_GAUGE, "pose_faults", lambda rig: len(rig["poses"]), "faults of the cameras' poses, by what cameras share"),
 )
 _OF_CAMERAS: tuple[Family, ...] = (
     (_GAUGE, "camera_lost", lambda one: one["state"] == "lost", "1 while a camera delivers nothing"),

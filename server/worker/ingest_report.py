@@ -10,7 +10,7 @@ _SILENT_NS = 5_000_000_000  # of a camera whose connection stands: on a busy mac
 
 
 def complaint(figures: dict[str, Any]) -> str:
-    """Which cameras deliver nothing that can be used, and why, in sentences; empty where none is.
+    """Which cameras deliver nothing that can be used or belies their poses, in sentences; empty where none is.
 
     Args:
         figures: `server.ingest.statistics.Statistics` in JSON, as `Tag.INGEST` has them.
@@ -25,6 +25,7 @@ def complaint(figures: dict[str, Any]) -> str:
         for name, one in cameras.items()
         if name not in lost and one.get("knocked")
     ]
+    parts += figures.get("poses", ())
     if lost:
         faults = sorted({fault for fault in lost.values() if fault})
         which = f"camera {next(iter(lost))} is lost"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +24,7 @@ from streamlod.server.pipeline.stages import open_job, train_stream
 from tests.core.calibration.checks import room
 from tests.core.data.writers import write_video
 from tests.server.brief import brief_training
+from tests.server.ingest.executors import AtOnce
 
 RIG = room.cameras(4, (240, 134))
 KNOCKED = 2
@@ -95,13 +96,6 @@ def test_a_camera_knocked_in_mid_stream_is_named_left_out_and_taken_back(
     assert all(frame.present[[0, 1, 3]].all() for frame in seen)
 
 
-class _AtOnce(Executor):
-    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        future.set_result(fn(*args, **kwargs))
-        return future
-
-
 class _Slow(list[UInt8]):
     """Pictures of which each takes ten milliseconds to look at."""
 
@@ -117,7 +111,7 @@ def test_looking_takes_a_fiftieth_of_the_time() -> None:
     images = _Slow([np.zeros((36, 64, 3), np.uint8)] * 3)
     watch = Knocks(3, lambda: images.now)
     for _ in range(900):  # half a minute of frames
-        watch.look(images, np.ones(3, np.bool_), _AtOnce())
+        watch.look(images, np.ones(3, np.bool_), AtOnce())
         images.now += 1 / 30
     saved = 10 / 0.5  # looks for which there was time before
     assert saved + 55 < images.looks < saved + 65
@@ -141,7 +135,7 @@ def _watched(pictures: Sequence[Sequence[UInt8]]) -> Knocks:
     """After so many instants of pictures of each camera, each of which is looked at."""
     watch = Knocks(len(pictures[0]), lambda: 0.0)
     for images in pictures:
-        watch.look(images, np.ones(len(images), np.bool_), _AtOnce())
+        watch.look(images, np.ones(len(images), np.bool_), AtOnce())
     return watch
 
 

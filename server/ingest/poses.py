@@ -1,0 +1,73 @@
+"""Watches whether the poses of a rig hold for what its cameras film, in a hundredth of the time.
+
+The first look is at the first instant, before anything is trained: who moved a camera after calibrating, or gave two
+phones each other's names, is told before the first picture. It compares what two and three cameras share with their
+poses, as `streamlod check` does, in smaller pictures. Cameras that share too little with others are not judged.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from streamlod.core.arrays import Bool, UInt8
+from streamlod.core.calibration.checks import poses
+from streamlod.core.calibration.checks.agreement import agreements
+from streamlod.core.calibration.checks.matches import PairMatches, matched
+from streamlod.core.data.lens import Undistortion
+from streamlod.server.ingest.watch import Watch
+
+_SHARE = 0.01  # of the time that looking may take
+_SIDE = 640  # pixels of the longer side of what is looked at; larger pictures take longer and tell little more
+
+
+class PoseWatch:
+    """The cameras of a rig.
+
+    Args:
+        plans: what makes the cameras' pictures fit their poses.
+        tell: told by each look, as soon as it ends, a sentence about each fault that it found.
+        clock: seconds.
+    """
+
+    def __init__(
+        self,
+        plans: Sequence[Undistortion],
+        tell: Callable[[tuple[str, ...]], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._plans, self._tell, self._clock, self._due = tuple(plans), tell, clock, -np.inf
+        self._seen = np.zeros(len(self._plans), np.bool_)
+        self._watch = Watch("poses are no longer compared with the pictures")
+
+    def look(self, images: UInt8, present: Bool, pool: Executor) -> None:
+        """Look at the newest pictures [C,H,W,3] on a thread of `pool`, if it is time or a camera is seen first."""
+        if self._clock() >= self._due or (present & ~self._seen).any():
+            self._watch.begin(lambda: self._look(images, present), pool)
+        if self._watch.broken:
+            self._tell(())
+
+    def _look(self, images: UInt8, present: Bool) -> None:
+        begin = self._clock()
+        plans = [plan for plan, is_present in zip(self._plans, present, strict=True) if is_present]
+        pairs = _shared(images[present])
+        found = poses.judged(agreements(pairs, [plan.camera for plan in plans]), pairs, plans)
+        faults = tuple(finding.sentence for finding in found if finding.severity == "fault")
+        self._tell(faults)
+        self._seen |= present
+        self._due = self._clock() + (self._clock() - begin) / _SHARE
+
+
+def _shared(images: UInt8) -> list[PairMatches]:
+    """Matches of pictures [C,H,W,3], in their pixels."""
+    height, width = images.shape[1:3]
+    scale = min(1.0, _SIDE / max(height, width))
+    size = max(round(scale * width), 1), max(round(scale * height), 1)
+    small = [np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8) for image in images]
+    to_large = np.array([width / size[0], height / size[1]])
+    return [replace(pair, points=pair.points * to_large) for pair in matched(small)]

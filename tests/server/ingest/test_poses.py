@@ -1,0 +1,119 @@
+"""Poses of a live rig that do not hold for what is filmed: told at the first instant, and no more once they hold."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from streamlod.core.arrays import UInt8
+from streamlod.core.data.lens import undistortions
+from streamlod.server.ingest.live import open_live
+from streamlod.server.ingest.poses import PoseWatch
+from tests.core.calibration.checks import room
+from tests.core.data.writers import write_video
+from tests.server.ingest.executors import AtOnce
+
+RIG = room.cameras(4)
+FILMED = room.frames(RIG, 1)[0].images
+EXCHANGED = "cam_1 and cam_2 are exchanged: each shows what the other's pose sees; swap their names"
+ALL = np.ones(4, np.bool_)
+
+
+def _exchanged(first: int, second: int) -> UInt8:
+    order = {first: second, second: first}
+    return FILMED[[order.get(number, number) for number in range(4)]]
+
+
+def _definition(folder: Path, images: UInt8) -> dict[str, Any]:
+    """A rig of files that show these pictures for some frames."""
+    cameras = []
+    for camera, image in zip(RIG, images, strict=True):
+        file = folder / f"{camera.name}.mp4"
+        write_video(file, [image] * 6, options={"crf": "16"})
+        cameras.append(
+            {
+                "name": camera.name,
+                "source": str(file),
+                "width": camera.width,
+                "height": camera.height,
+                "intrinsics": camera.intrinsics.tolist(),
+                "world_to_camera": camera.world_to_camera.tolist(),
+            }
+        )
+    return {"fps": 30, "realtime": False, "depth_bounds": [0.5, 12], "cameras": cameras}
+
+
+def test_names_exchanged_are_told_while_the_first_frame_trains(tmp_path: Path) -> None:
+    dataset = open_live(_definition(tmp_path, _exchanged(1, 2)))
+    with closing(dataset.frames()) as frames:
+        next(frames)  # and no more, as while a first frame trains
+        limit = time.monotonic() + 30
+        while (told := dataset.statistics()) is not None and not told.poses:
+            assert time.monotonic() < limit
+            time.sleep(0.02)
+        assert told is not None
+        assert told.poses == (EXCHANGED,)
+
+
+class _Watched:
+    """A watch, what it told by each look, and its clock."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.told: list[tuple[str, ...]] = []
+        self.watch = PoseWatch(undistortions(RIG, 1), self.told.append, lambda: self.now)
+
+    def look(self, images: UInt8, present: Sequence[bool] | Any = ALL) -> None:
+        self.watch.look(images, np.array(present), AtOnce())
+
+
+def test_poses_that_hold_are_not_complained_of_whatever_the_size() -> None:
+    for scale in (0.5, 1, 2):
+        size = round(480 * scale), round(270 * scale)
+        rig = [camera.scaled(*size) for camera in RIG]
+        images = np.stack([cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in FILMED])
+        told: list[tuple[str, ...]] = []
+        for pictures in (images, images[[0, 2, 1, 3]]):
+            PoseWatch(undistortions(rig, 1), told.append).look(pictures, ALL, AtOnce())
+        assert told == [(), (EXCHANGED,)]
+
+
+def test_a_camera_that_comes_later_is_looked_at_when_it_comes_and_others_as_there_is_time() -> None:
+    watched = _Watched()
+    watched.look(_exchanged(1, 2), [True, False, True, True])
+    assert watched.told[-1] != ()
+    watched.look(_exchanged(1, 2))
+    assert watched.told[1:] == [(EXCHANGED,)]
+    watched.look(FILMED)  # the clock stands, so that looks took no time
+    assert watched.told[2:] == [()], "names were swapped"
+
+
+def test_looking_takes_a_hundredth_of_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    watched = _Watched()
+
+    def slow(*_: Any) -> list[Any]:
+        watched.now += 0.5
+        return []
+
+    monkeypatch.setattr("streamlod.server.ingest.poses.matched", slow)
+    for _ in range(3 * 600):
+        watched.look(FILMED)
+        watched.now += 1 / 3
+    assert len(watched.told) == 12  # ten minutes of 50 seconds between looks, and the first one
+
+
+def test_a_look_that_breaks_takes_back_what_was_told(caplog: pytest.LogCaptureFixture) -> None:
+    watched = _Watched()
+    for images in (_exchanged(0, 3), FILMED[:, :0], FILMED, FILMED):
+        watched.look(images)
+    assert watched.told[0] != ()
+    assert watched.told[-1] == ()
+    (record,) = caplog.records
+    assert record.getMessage() == "poses are no longer compared with the pictures, as a look at the pictures broke"
