@@ -199,14 +199,13 @@ def train_stream(
     error of any stage is raised here, after the frames before it. A frame is given out when all its packets are made.
 
     Args:
-        resume: continue from this keyframe, which has been published, instead of training one.
+        resume: continue from this keyframe, which has been published, instead of training one; `opened` has to be
+            `continuing` from it.
         start: first frame to read.
         previews: also yield early keyframes while the first frame trains, for viewers that are waiting.
         on_progress: called on the training thread.
     """
     size = _KeyframeSize()
-    if resume is not None:
-        opened = opened.continuing(resume)
 
     def train(outlet: Outlet[_Trained]) -> None:
         _Training(opened, previews, on_progress, size, outlet).run(resume, start)

@@ -200,6 +200,8 @@ def train(
         sender.send(Tag.PROGRESS, body)
 
     opened, pictures = open_job(job, push_socket, give_sound), None
+    if scene is not None:
+        opened = opened.continuing(scene)
     if camera_pictures:
         pictures = CameraPictures(opened.dataset.upright)
         opened = replace(opened, on_read=pictures.note)

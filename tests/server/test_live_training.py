@@ -23,8 +23,11 @@ from prometheus_client.registry import Collector
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from streamlod.codec.decoder import SceneDecoder
 from streamlod.codec.packet.info import peek
 from streamlod.core.errors import InputError, ModelError, SessionError
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.keyframe import as_keyframe
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
 from streamlod.server.ingest.statistics import CameraStatistics, Statistics
@@ -100,8 +103,8 @@ class Node:
         self._thread.join(60)
 
 
-@pytest.mark.long
-def test_training_that_is_slower_than_filming_gets_the_newest_instant(tmp_path: Path) -> None:
+def _trained(job: TrainJob, scene: Scene | None, start: int, socket: Path) -> list[tuple[Tag, bytes, int]]:
+    """What a worker sends that trains what a node films, and when it came."""
     ours, theirs = multiprocessing.Pipe(duplex=False)
     messages: list[tuple[Tag, bytes, int]] = []
 
@@ -111,15 +114,38 @@ def test_training_that_is_slower_than_filming_gets_the_newest_instant(tmp_path: 
 
     listener = threading.Thread(target=listen)
     listener.start()
-    node = Node(tmp_path / "s")
+    node = Node(socket)
     with brief_training():
         sender = Sender(theirs)
-        whole = definition() | {"policy": "require_all"}  # or the last camera may be late for every instant
-        job = TrainJob(live=whole, preset="live", frames=4, points="random")
-        train(job, None, 0, sender, tmp_path / "s", camera_pictures=True)
+        train(job, scene, start, sender, socket, camera_pictures=True)
         node.stop()
         sender.send(Tag.END)
     listener.join(60)
+    return messages
+
+
+@pytest.mark.long
+def test_training_that_continues_a_scene_tells_of_its_cameras_too(tmp_path: Path) -> None:
+    job = TrainJob(live=definition(), preset="live", frames=2, points="random")
+    decoder = SceneDecoder()
+    for tag, body, _ in _trained(job, None, 0, tmp_path / "s"):
+        if tag is Tag.PACKET:
+            decoder.push(body)
+    assert decoder.scene is not None
+    scene = as_keyframe(decoder.scene, decoder.scene.version + 1)
+    messages = _trained(replace(job, frames=4), scene, 2, tmp_path / "t")
+    told = [json.loads(body) for tag, body, _ in messages if tag is Tag.INGEST]
+    sent = [peek(body).to_version for tag, body, _ in messages if tag is Tag.PACKET]
+    assert sent == [scene.version + 1, scene.version + 2]
+    assert told
+    assert told[-1]["cameras"].keys() == {camera["name"] for camera in definition()["cameras"]}
+
+
+@pytest.mark.long
+def test_training_that_is_slower_than_filming_gets_the_newest_instant(tmp_path: Path) -> None:
+    whole = definition() | {"policy": "require_all"}  # or the last camera may be late for every instant
+    job = TrainJob(live=whole, preset="live", frames=4, points="random")
+    messages = _trained(job, None, 0, tmp_path / "s")
     packets = [(peek(body), at) for tag, body, at in messages if tag is Tag.PACKET]
     told = [json.loads(body) for tag, body, _ in messages if tag is Tag.INGEST]
     seen = [unpack_pictures(body) for tag, body, _ in messages if tag is Tag.PICTURES]
