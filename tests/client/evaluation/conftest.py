@@ -30,5 +30,5 @@ def footage(clip: Path) -> Footage:
 
 def shortened(config: TrainConfig) -> TrainConfig:
     """`config` with hardly any steps."""
-    keyframe = replace(config.keyframe, steps=25, growth_interval=8)
-    return replace(config, keyframe=keyframe, predict=replace(config.predict, epochs=1, minimum_steps=6))
+    keyframe = replace(config.keyframe, steps=12, growth_interval=5)
+    return replace(config, keyframe=keyframe, predict=replace(config.predict, epochs=1, minimum_steps=4))

@@ -82,7 +82,7 @@ def state_hash(scene: Scene) -> str:
     return sha256(b"".join(bytes(column) for level in scene.levels for column in level.state())).hexdigest()
 
 
-def viewer_sees(source: Path, servers: Sequence[Node], clip: Clip, scenes: int = 40) -> None:
+def viewer_sees(source: Path, servers: Sequence[Node], clip: Clip, scenes: int = 15) -> None:
     """Run a viewer of that version at each server; what it shows has to be what was filmed."""
     command = [sys.executable, "-c", VIEWER, str(scenes), *(str(server.port) for server in servers)]
     environment = os.environ | {"PYTHONPATH": str(source), "NUMBA_DISABLE_JIT": str(int(source != ROOT))}

@@ -91,11 +91,11 @@ def test_nothing_is_drawn_where_flow_says_nothing() -> None:
 @pytest.mark.timeout(400)
 def test_what_moves_is_shown_better_by_search() -> None:
     """Search saves error on what moves and bytes; a seed may show only one of them, so their product is compared."""
-    spec = SyntheticSpec(cameras=5, frames=5, width=192, height=108, seed=1)
+    spec = SyntheticSpec(cameras=4, frames=4, width=128, height=72, seed=1)
     clip = open_synthetic(spec)
     first, *later = clip.frames()
     config = preset("live")
-    config = replace(config, keyframe=replace(config.keyframe, steps=200))
+    config = replace(config, keyframe=replace(config.keyframe, steps=120))
     scene = Trainer(clip.cameras, config, clip.fps, "cpu").keyframe(first, true_points(spec)).scene
     moving = MovingPixels(clip.cameras, spec)
     masks = [moving.masks(frame.index, frame.images) for frame in later]
@@ -112,7 +112,7 @@ def test_what_moves_is_shown_better_by_search() -> None:
             sizes.append(len(encode_residual(before, result.residual, time_ns=0)))
             errors.append(_error(result.scene, frame, mask))
         cost.append(np.mean(errors) * np.mean(sizes))
-    assert cost[1] < 0.85 * cost[0]  # 0.67
+    assert cost[1] < 0.85 * cost[0]  # 0.72
 
 
 def _error(scene: Scene, frame: FrameSet, masks: Bool | None) -> float:
