@@ -42,7 +42,7 @@ AGREEMENT = 35  # decibels between the page's own picture and another engine's
 # The engines draw the scene whether it changed or not, which takes a processor alone at sixty pictures a second.
 SELDOM = """
   const soon = window.requestAnimationFrame;
-  window.requestAnimationFrame = (draw) => setTimeout(() => soon(draw), 150);
+  window.requestAnimationFrame = (draw) => setTimeout(() => soon(draw), 300);
 """
 
 
