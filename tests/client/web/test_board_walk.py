@@ -25,19 +25,19 @@ def written(file: Path, picture: UInt8) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("picture", "text"),
+    ("place", "text"),
     [
-        (seen_at(-0.25, -0.15), "the board is seen, now: upper right"),
-        (seen_at(0, 0), "enough"),
+        ((-0.25, -0.15), "the board is seen, now: upper right"),
+        ((0.0, 0.0), "enough"),
     ],
     ids=["seen", "enough"],
 )
 def test_a_page_says_what_its_picture_needs_of_the_board(
-    chromium: Any, tmp_path: Path, picture: UInt8, text: str
+    chromium: Any, tmp_path: Path, place: tuple[float, float], text: str
 ) -> None:
     """In letters of a centimetre on a phone seven wide, for three metres. Before and after, nothing is said."""
     address, recording = recorded(tmp_path, [], SIZE, 15.0)
-    clip = f"--use-file-for-fake-video-capture={written(tmp_path / 'board.y4m', picture)}"
+    clip = f"--use-file-for-fake-video-capture={written(tmp_path / 'board.y4m', seen_at(*place))}"
     flags = [*TEST_FLAGS, *CAMERA_FLAGS, clip]
     browser = chromium.browser_type.launch(executable_path=chromium_path(), args=flags)
     with opened(browser, address, ignore_https_errors=True) as page:
