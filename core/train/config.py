@@ -207,6 +207,11 @@ class PredictConfig:
     minimum_steps: int = setting(
         120, "fewest steps, however few the cameras", given(0, "V-A", "10 epochs, however few the cameras")
     )
+    most_effort: float = setting(
+        2.0,
+        "steps of a frame in which much of the pictures changed, at most so many times the usual ones, 1 or more",
+        given(1.0, "V-A", "10 epochs, whatever changed"),
+    )
     half_size_until: float = setting(
         0.4,
         "moment of the frame, 0 to 1, until which large pictures have half the width and height: a quarter of the time"

@@ -25,6 +25,7 @@ from streamlod.core.train.later_frame.anchors import TrainedAnchors
 from streamlod.core.train.later_frame.part import Beginning, Hooks
 from streamlod.core.train.later_frame.pixel_steps import steps_a_pixel
 from streamlod.core.train.later_frame.planned import PlannedViews
+from streamlod.core.train.later_frame.steps import steps_of
 from streamlod.core.train.later_frame.update import IntegerUpdate, no_update
 from streamlod.core.train.loss.total import total_loss
 from streamlod.core.train.optimise.loop import run_steps
@@ -85,7 +86,7 @@ class FrameTraining:
         Args:
             progress_of: makes the pace of a number of steps.
         """
-        total = max(config.epochs * len(self._useful), config.minimum_steps)
+        total = steps_of(config, self._whole.pictures.masks[self._useful])
         pace = progress_of(total)
         self._prepare(pace)
         if not self.numbers:

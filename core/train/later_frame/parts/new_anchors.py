@@ -30,7 +30,7 @@ class AnchorGrowth(FramePart):
     adds_anchors: ClassVar[bool] = True
 
     at: float = setting(0.3, "share of the frame's steps after which anchors are added, 0 to 1", left_out(_WHY))
-    share: float = setting(0.004, "added anchors a frame, at most this share of all, 0 to 1", left_out(_WHY))
+    share: float = setting(0.02, "added anchors a frame, at most this share of all, 0 to 1", left_out(_WHY))
     room: float = setting(
         0.5,
         "share by which the anchors of later frames may outnumber those of the first frame since the start: some errors"

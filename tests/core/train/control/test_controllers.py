@@ -42,7 +42,8 @@ def config() -> TrainConfig:
         live,
         model=replace(live.model, max_anchors=2500),
         keyframe=replace(live.keyframe, steps=80, growth_interval=20),
-        predict=replace(live.predict, epochs=3, minimum_steps=12),
+        # no more steps for a burst: what is bound has no time for them, and is compared with what is not
+        predict=replace(live.predict, epochs=3, minimum_steps=12, most_effort=1.0),
     )
 
 

@@ -62,7 +62,7 @@ def configured() -> TrainConfig:
     return replace(
         live,
         keyframe=replace(live.keyframe, steps=20),
-        predict=replace(live.predict, epochs=1, minimum_steps=6),
+        predict=replace(live.predict, epochs=1, minimum_steps=6, most_effort=1.0),
     )
 
 

@@ -33,7 +33,7 @@ def _after_each_step(optimiser: RowAdam, monkeypatch: pytest.MonkeyPatch) -> lis
 
 @pytest.mark.parametrize(("average_from", "last"), [(1.0, 1), (0.5, 4), (0.0, 8)])
 def test_the_mean_of_the_last_steps_is_sent(average_from: float, last: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    config = PredictConfig(epochs=8, minimum_steps=0, average_from=average_from)
+    config = PredictConfig(epochs=8, minimum_steps=0, most_effort=1.0, average_from=average_from)
     pose = np.eye(4)
     pose[2, 3] = 3.0
     camera = pinhole("cam00", (WIDTH, WIDTH), (WIDTH / 2, HEIGHT / 2), (WIDTH, HEIGHT), pose)
