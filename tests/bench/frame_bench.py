@@ -27,7 +27,7 @@ from tests.bench.parts import parts_parser, run_parts
 from tests.threads import MAX_THREADS
 
 EPOCHS = 10
-CONFIG = TrainConfig(predict=PredictConfig(epochs=EPOCHS, minimum_steps=0), parts=USUAL)
+CONFIG = TrainConfig(predict=PredictConfig(epochs=EPOCHS, minimum_steps=0, most_effort=1.0), parts=USUAL)
 VGA, HD = (640, 480), (1280, 720)
 MOVING = 0.006  # share of the anchors that really move; the partition then trains about 5 %
 
@@ -98,7 +98,7 @@ def clip(frames: int = 4) -> dict[str, Any]:
 
 def growth() -> dict[str, Any]:
     """CPU seconds of a frame by views and by anchors, at 320x240 and 4 epochs, and the exponent of a fitted power."""
-    config = TrainConfig(predict=PredictConfig(epochs=4, minimum_steps=0), parts=USUAL)
+    config = TrainConfig(predict=PredictConfig(epochs=4, minimum_steps=0, most_effort=1.0), parts=USUAL)
 
     def seconds(anchors: int, views: int) -> float:
         # in front, where 40,000 anchors hide it no more than 5,000 do

@@ -142,7 +142,7 @@ def trained_clip(
     config = replace(
         live,
         model=replace(live.model, max_anchors=anchors),
-        predict=replace(live.predict, epochs=epochs, minimum_steps=0),
+        predict=replace(live.predict, epochs=epochs, minimum_steps=0, most_effort=1.0),
     )
     filmed = [FrameSet(f.index, f.time_ns, f.images[rows], f.present[rows]) for f in made.frames()]
     trainer = Trainer(cameras, config, made.fps, "cpu")

@@ -12,7 +12,7 @@ from tests.bench.frame_gpu import gpu_report
 @pytest.mark.long
 def test_every_stage_and_growth_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tests.bench.frame_gpu._ROUNDS", 1)
-    config = TrainConfig(predict=PredictConfig(epochs=1, minimum_steps=0), parts=USUAL)
+    config = TrainConfig(predict=PredictConfig(epochs=1, minimum_steps=0, most_effort=1.0), parts=USUAL)
     found = gpu_report("cpu", config, (150, 300), (2,), (64, 48), moving=0.1)
     for case in ("150 anchors, 2 views", "300 anchors, 2 views"):
         numbers = found[case]
