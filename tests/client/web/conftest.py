@@ -100,7 +100,12 @@ def chromium_webgpu(launch: Callable[[list[str]], Any]) -> Iterator[Any]:
 
 # Of the driver on tests that look at the picture, of browsers without WebGPU on pages that ask for it, and of pages
 # that outlive their test's server by a moment.
-REMARKS = ("GPU stall due to ReadPixels", "No available adapters", "ERR_CONNECTION_REFUSED")
+REMARKS = (
+    "GPU stall due to ReadPixels",
+    "No available adapters",
+    "ERR_CONNECTION_REFUSED",
+    "ERR_TOO_MANY_RETRIES",  # the same by https
+)
 
 
 class Console:
