@@ -35,8 +35,8 @@ LAYERS = {
         "api", "edge", "service", "cli",
     ),
     "server.ingest": (
-        "sync board_sight", "sound", "cameras", "push finding", "statistics ahead watch walk",
-        "knocks poses", "rig", "live recording",
+        "sync board_sight", "sound", "cameras", "push finding", "statistics ahead watch",
+        "knocks poses walk", "rig", "live recording",
     ),
     "client": (
         "recording events viewpoints recorder rest_answers", "rest playback", "connection film_sound",

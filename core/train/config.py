@@ -209,7 +209,7 @@ class PredictConfig:
     )
     most_effort: float = setting(
         2.0,
-        "steps of a frame in which much of the pictures changed, at most so many times the usual ones, 1 or more",
+        "where more than a fifth of the pixels changed, at most so many times the steps; up to 1: never more",
         given(1.0, "V-A", "10 epochs, whatever changed"),
     )
     half_size_until: float = setting(

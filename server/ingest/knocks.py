@@ -38,7 +38,7 @@ class Knocks:
         self._landmarks: list[Features | None] = [None] * count
         self._last: list[Shift | None] = [None] * count
         self._clock, self._next, self._due = clock, 0, -np.inf
-        self._watch = Watch("knocked cameras are no longer watched for")
+        self._watch = Watch("knocked cameras are no longer watched for", self._forget)
 
     @property
     def knocked(self) -> Bool:
@@ -49,8 +49,9 @@ class Knocks:
     def look(self, images: Sequence[UInt8] | UInt8, present: Bool, pool: Executor) -> None:
         """Look at some of the newest pictures [H,W,3] on a thread of `pool`, as far as there is time."""
         self._watch.begin(lambda: self._look(images, present), pool)
-        if self._watch.broken:
-            self.shifts = [None] * len(self.shifts)
+
+    def _forget(self) -> None:
+        self.shifts = [None] * len(self.shifts)
 
     def _look(self, images: Sequence[UInt8] | UInt8, present: Bool) -> None:
         for _ in range(len(present)):

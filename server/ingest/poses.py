@@ -43,14 +43,12 @@ class PoseWatch:
     ) -> None:
         self._plans, self._tell, self._clock, self._due = tuple(plans), tell, clock, -np.inf
         self._seen = np.zeros(len(self._plans), np.bool_)
-        self._watch = Watch("poses are no longer compared with the pictures")
+        self._watch = Watch("poses are no longer compared with the pictures", lambda: tell(()))
 
     def look(self, images: UInt8, present: Bool, pool: Executor) -> None:
         """Look at the newest pictures [C,H,W,3] on a thread of `pool`, if it is time or a camera is seen first."""
         if self._clock() >= self._due or (present & ~self._seen).any():
             self._watch.begin(lambda: self._look(images, present), pool)
-        if self._watch.broken:
-            self._tell(())
 
     def _look(self, images: UInt8, present: Bool) -> None:
         begin = self._clock()

@@ -5,10 +5,9 @@ A look that breaks ends the watch, not the recording.
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, Future, wait
+from concurrent.futures import Executor
 
 import cv2
 import numpy as np
@@ -21,8 +20,8 @@ from streamlod.core.errors import InputError
 from streamlod.server.ingest.board_sight import BoardSight
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import Instant
+from streamlod.server.ingest.watch import Watch
 
-_log = logging.getLogger(__name__)
 _LOOK_SECONDS = 0.4  # between looks, in which a person with a board moves on
 _TELL_SECONDS = 8.0
 _WIDTH = 640  # pixels of the longer side, or a little more, at which pictures are searched
@@ -51,34 +50,19 @@ class WalkWatch:
         self._unseen = f"no camera has seen it, which is to have {board.described()}"
         self._detect, self._tell, self._show, self._pool, self._clock = Detector(board), tell, show, pool, clock
         self._coverage, self._told = WalkCoverage.none(cameras), ""
-        self._looking: Future[None] | None = None
-        self._ended = False
+        self._watch = Watch("the board's walk is no longer watched", lambda: show({}))
         self._look_at, self._tell_at = -np.inf, clock() + _TELL_SECONDS
 
     def look(self, instant: Instant) -> None:
         """Look at an instant if it is time for it; never waits."""
         now = self._clock()
-        if now < self._look_at or (self._looking is not None and not self._looking.done()):
-            return
-        self._look_at = now + _LOOK_SECONDS
-        if not self._broken():
-            self._looking = self._pool.submit(self._take, instant)
+        if now >= self._look_at and self._watch.begin(lambda: self._take(instant), self._pool):
+            self._look_at = now + _LOOK_SECONDS
 
     def end(self) -> None:
         """Wait for the last look, and tell what is missing in the end."""
-        if self._looking is not None:
-            wait([self._looking])
-        if not self._broken():
+        if self._watch.finish():
             self._say()
-
-    def _broken(self) -> bool:
-        """Whether the last look broke, which is logged once; none follows."""
-        error = None if self._looking is None else self._looking.exception()
-        if error is not None and not self._ended:
-            self._ended = True
-            self._show({})
-            _log.error("the board's walk is no longer watched, as a look at the pictures broke", exc_info=error)
-        return self._ended
 
     def _take(self, instant: Instant) -> None:
         corners = [self._corners(picture) for picture in instant.pictures]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, wait
 
 _log = logging.getLogger(__name__)
 
@@ -14,22 +14,31 @@ class Watch:
 
     Args:
         end: what a look that breaks puts an end to, as the beginning of a sentence.
-
-    Attributes:
-        broken: whether one broke.
+        on_break: called on the look's thread where one broke.
     """
 
-    def __init__(self, end: str) -> None:
-        self.broken = False
-        self._end = end
+    def __init__(self, end: str, on_break: Callable[[], object]) -> None:
+        self._end, self._on_break = end, on_break
         self._looking: Future[None] | None = None
+        self._broken = False
 
-    def begin(self, look: Callable[[], None], pool: Executor) -> None:
-        """Run `look` on a thread of `pool`, unless one still runs or broke."""
-        if self.broken or (self._looking is not None and not self._looking.done()):
-            return
-        if self._looking is not None and (error := self._looking.exception()) is not None:
-            _log.error("%s, as a look at the pictures broke", self._end, exc_info=error)
-            self.broken = True
-            return
-        self._looking = pool.submit(look)
+    def begin(self, look: Callable[[], None], pool: Executor) -> bool:
+        """Run `look` on a thread of `pool` and return True, unless one still runs or broke."""
+        if self._broken or (self._looking is not None and not self._looking.done()):
+            return False
+        self._looking = pool.submit(self._run, look)
+        return True
+
+    def finish(self) -> bool:
+        """Wait for the last look; whether none broke."""
+        if self._looking is not None:
+            wait([self._looking])
+        return not self._broken
+
+    def _run(self, look: Callable[[], None]) -> None:
+        try:
+            look()
+        except Exception:  # whatever is wrong with a look, the stream goes on
+            self._broken = True
+            self._on_break()
+            _log.exception("%s, as a look at the pictures broke", self._end)

@@ -10,7 +10,7 @@ _SILENT_NS = 5_000_000_000  # of a camera whose connection stands: on a busy mac
 
 
 def complaint(figures: dict[str, Any]) -> str:
-    """Which cameras deliver nothing that can be used or belies their poses, in sentences; empty where none is.
+    """Sentences about cameras that deliver nothing usable or whose poses do not hold; empty where all is well.
 
     Args:
         figures: `server.ingest.statistics.Statistics` in JSON, as `Tag.INGEST` has them.

@@ -200,7 +200,7 @@ def train(
         sender.send(Tag.PROGRESS, body)
 
     opened, pictures = open_job(job, push_socket, give_sound), None
-    if scene is not None:
+    if scene is not None:  # here, as the figures that are told below are of the rig that is read
         opened = opened.continuing(scene)
     if camera_pictures:
         pictures = CameraPictures(opened.dataset.upright)

@@ -306,6 +306,7 @@ def test_a_name_that_was_taken_while_the_browser_asked_for_the_camera_is_left_to
             delivered = [frame.present[0] for frame in found.wait(10)]
             assert sum(delivered) > 5, "on a busy machine a picture may be late"
             says(quick, "Filming as phone1")
+            assert [page.input_value("#name") for page in (quick, slow)] == ["phone1", "phone2"]
 
 
 def test_a_page_that_is_loaded_again_is_the_same_camera(phone: Any) -> None:

@@ -98,9 +98,10 @@ def test_a_camera_knocked_in_mid_stream_is_named_left_out_and_taken_back(
     assert all(frame.present[[0, 1, 3]].all() for frame in seen)
 
 
-def _begin_and_wait(watch: Watch, look: Callable[[], None], pool: Executor) -> None:
+def _begin_and_wait(watch: Watch, look: Callable[[], None], pool: Executor) -> bool:
     del watch
     pool.submit(look).result()
+    return True
 
 
 class _Slow(list[UInt8]):

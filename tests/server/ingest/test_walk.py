@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import Executor, Future
 from itertools import count
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +18,7 @@ from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import Instant
 from streamlod.server.ingest.walk import WalkWatch
 from tests.core.calibration.filmed import filmed, rays_of
+from tests.server.ingest.executors import AtOnce
 
 BOARD, SIZE = Board(), (640, 480)
 LENS = np.array([600.0, 600.0, 319.5, 239.5, 0, 0, 0, 0, 0])
@@ -35,18 +34,6 @@ def seen_at(x: float, y: float) -> UInt8:
 
 def damaged() -> UInt8:
     raise InputError("picture", "does not decode")
-
-
-class AtOnce(Executor):
-    """Runs what it is given before it returns, so that no look is left out."""
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except RuntimeError as error:
-            future.set_exception(error)
-        return future
 
 
 def told(*loads: Callable[[], UInt8] | None, looks: int) -> list[str]:

@@ -15,7 +15,6 @@ from streamlod.core.initialise import first_points
 from streamlod.core.initialise.confidence.evidence import CUES, Matches, evidence
 from streamlod.core.initialise.confidence.gaps import in_gaps
 from streamlod.core.initialise.confidence.network import Confidence, usual_confidence
-from streamlod.core.initialise.consistency import points_of
 from streamlod.core.initialise.methods.learned import LearnedSweep
 from streamlod.core.initialise.methods.plane_sweep import PlaneSweep
 from streamlod.core.initialise.stereo.patch_kernel import UNSEEN
@@ -214,7 +213,8 @@ def test_it_finds_more_right_depths_than_the_tests_alone() -> None:
     assert added.sum() > 0.1 * trusted.sum()  # in gaps: what has points already needs no more
     assert right[added].mean() >= right[trusted].mean() - 0.02
     assert right[surest].mean() >= right[trusted].mean()
-    learned = points_of(views, matches.maps, LearnedSweep().believed(matches))
-    frame = next(iter(dataset.frames()))
-    usual = first_points(frame, dataset.cameras, depth_bounds=dataset.depth_bounds)  # and what fills further gaps
-    np.testing.assert_array_equal(usual.positions[: believed.sum()], learned.positions)
+    frame, bounds = next(iter(dataset.frames())), dataset.depth_bounds
+    learned = first_points(frame, dataset.cameras, depth_bounds=bounds, method="learned")
+    assert len(learned) == believed.sum()
+    usual = first_points(frame, dataset.cameras, depth_bounds=bounds)  # more points fill the gaps that remain
+    np.testing.assert_array_equal(usual.positions[: len(learned)], learned.positions)

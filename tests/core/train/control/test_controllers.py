@@ -88,7 +88,7 @@ def test_a_burst_holds_the_frame_budget_and_quality_returns(clip: Dataset, pictu
     budget = 0.048  # looks of the clock: some thirty are those of stages, the rest are steps
     calm = [pictures[-1]] * 14  # with five steps a frame, what is left undone takes a while
     missing = []
-    for seed in range(2):  # runs of so few steps differ
+    for seed in range(3):  # runs of so few steps differ
         ours, clock = replace(config(), seed=seed), Ticks()
         trainer = Trainer(clip.cameras, ours, FPS, "cpu", frame_budget_ms=1000 * budget, clock=clock)
         trainer.resume(first)
@@ -144,11 +144,11 @@ def test_a_burst_stays_within_the_buffer_and_quality_returns(
 ) -> None:
     """New anchors, which a channel carries fewer of, help in the burst too; after it, both have time to return."""
     missing, gained = list[float](), list[float]()
-    for seed in range(2):
+    for seed in range(3):
         ours = replace(config(), seed=seed)
         plain = with_settings(ours, {"new_anchors.share": 0})
         burst, returned = bound(plain, clip, pictures, first, 12)
         missing.append(unbound(plain, clip, pictures, first) - returned)
         gained.append(bound(ours, clip, pictures, first, 0)[0] - burst)
-    assert np.mean(missing) < 0.5  # 0.30 of 24.1 dB
+    assert np.mean(missing) < 0.5
     assert np.mean(gained) > 0.2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -29,6 +31,11 @@ def test_more_steps_where_more_changed_and_never_more_than_the_most() -> None:
     steps = [steps_of(CONFIG, masks(6, share)) for share in (0.22, 0.24, 0.26, 0.3, 1.0)]
     assert steps == sorted(steps)
     assert 60 < steps[0] < steps[2] < steps[3] == steps[4] == 120
+
+
+@pytest.mark.parametrize("effort", [0.0, 0.5, 1.0])
+def test_no_effort_means_the_configured_steps(effort: float) -> None:
+    assert steps_of(replace(CONFIG, most_effort=effort), masks(6, 1.0)) == 60
 
 
 @pytest.mark.parametrize("share", [0.1, 1.0])
