@@ -56,10 +56,11 @@ def track_of(footage: WalkFootage, board: Board, on_picture: Callable[[], object
     """The corners that one camera saw.
 
     Args:
+        board: as some camera saw it (`board_as_seen`), so that it is described well.
         on_picture: called for each picture that was searched.
 
     Raises:
-        InputError: it saw no board, another one, or two.
+        InputError: it hardly saw the board, or two boards, or one with more markers.
     """
     detect, step = Detector(board), picture_step(footage)
     rows, corners, doubled, foreign = [], [], 0, Counter[int]()
@@ -80,7 +81,7 @@ def track_of(footage: WalkFootage, board: Board, on_picture: Callable[[], object
     if seen.sum() < max(_FEW, _RARELY * len(rows)):
         sample = [_Sample(footage.camera, tuple(_sampled(footage)))]
         if seen.sum() < _FEW or _corners(sample, board, mirrored=True) > _corners(sample, board):
-            raise InputError(f"camera {footage.camera}", _why_unseen(sample, board))
+            raise InputError(f"camera {footage.camera}", _why_rarely(sample, board))
     return track
 
 
@@ -115,31 +116,50 @@ def _corners(samples: Sequence[_Sample], board: Board, *, mirrored: bool = False
     return sum(detect(picture).count for picture in pictures)
 
 
+def _why_rarely(samples: Sequence[_Sample], board: Board) -> str:
+    """One sentence about a camera that hardly sees the board."""
+    return (
+        _why_mirrored_or_far(samples, board)
+        or "hardly sees the board; walk longer, facing it, nearer to it and slower, with more light"
+    )
+
+
 def _why_unseen(samples: Sequence[_Sample], board: Board) -> str:
-    """One sentence about a board that these pictures do not show as described."""
+    """One sentence about a board that no camera shows as described."""
+    if reason := _why_mirrored_or_far(samples, board):
+        return reason
+    markers = [marker for seen in _markers(samples, board) for marker in seen]
+    if len(markers) < 2 * _FEW:
+        return (
+            f"no board of {board.columns}x{board.rows} squares with markers of {board.dictionary} is seen; "
+            "hold it nearer to the cameras and slower, with more light, or describe yours with --board"
+        )
+    turned = Board(board.rows, board.columns, board.square_m, board.marker_ratio, board.dictionary, board.inverted)
+    other = board.columns != board.rows and max(markers) >= 0.75 * board.marker_count
+    if other and _corners(samples, turned) >= MIN_CORNERS:
+        return f"has {board.rows}x{board.columns} squares, not {board.columns}x{board.rows}; exchange columns and rows"
+    return (
+        f"its markers are seen (0 to {max(markers)}), but do not lie as on a board of "
+        f"{board.columns}x{board.rows} squares; count the squares of yours and give them with --board"
+    )
+
+
+def _why_mirrored_or_far(samples: Sequence[_Sample], board: Board) -> str:
+    """One sentence where the pictures show the board mirrored, or some of its markers alone; else nothing."""
     if any(_corners(samples, variant, mirrored=True) >= MIN_CORNERS for variant in variants(board)[:2]):
         return "its pictures show the board mirrored; switch the mirroring of the camera off, or print the board anew"
-    detect = Detector(board)
-    at_once = [detect(picture).markers.tolist() for each in samples for picture in each.pictures]
+    at_once = _markers(samples, board)
     markers = [marker for seen in at_once for marker in seen]
-    if len(markers) >= 2 * _FEW:
-        most = max(len(set(seen)) for seen in at_once)
-        if 2 * most <= max(markers) + 1:
-            return (
-                f"at most {most} of the board's markers are read in one picture, too few for its corners; "
-                "hold it nearer to the camera and slower, with more light"
-            )
-        other = board.columns != board.rows and max(markers) >= 0.75 * board.marker_count
-        turned = Board(board.rows, board.columns, board.square_m, board.marker_ratio, board.dictionary, board.inverted)
-        if other and _corners(samples, turned) >= MIN_CORNERS:
-            return (
-                f"has {board.rows}x{board.columns} squares, not {board.columns}x{board.rows}; exchange columns and rows"
-            )
+    most = max((len(set(seen)) for seen in at_once), default=0)
+    if len(markers) >= 2 * _FEW and 2 * most <= max(markers) + 1:
         return (
-            f"its markers are seen (0 to {max(markers)}), but do not lie as on a board of "
-            f"{board.columns}x{board.rows} squares; count the squares of yours and give them with --board"
+            f"at most {most} of the board's markers are read in one picture, too few for its corners; "
+            "hold it nearer to the camera and slower, with more light"
         )
-    return (
-        f"no board of {board.columns}x{board.rows} squares with markers of {board.dictionary} is seen in its pictures; "
-        "hold it nearer to the camera and slower, with more light, or describe yours with --board"
-    )
+    return ""
+
+
+def _markers(samples: Sequence[_Sample], board: Board) -> list[list[int]]:
+    """The markers that are read in each picture."""
+    detect = Detector(board)
+    return [detect(picture).markers.tolist() for each in samples for picture in each.pictures]

@@ -134,6 +134,9 @@ def _declared_rate(stream: av.video.stream.VideoStream, path: Path) -> Fraction:
 def _opened(path: Path) -> Iterator[tuple[av.container.InputContainer, av.video.stream.VideoStream]]:
     try:
         container = av.open(str(path.absolute()), options={"protocol_whitelist": "file"})
+    except av.InvalidDataError as error:
+        reason = "is no video, or one that was cut off or is still being recorded; let the recording end first"
+        raise InputError(path, reason) from error
     except OSError as error:  # av's errors are OSErrors or ValueErrors
         raise InputError(path, f"cannot be opened as a video: {error.strerror}") from error
     except (av.FFmpegError, ValueError) as error:

@@ -98,12 +98,16 @@ def test_modules_import_downwards() -> None:
             assert layers.index(other) < mine, f"{path.name} imports from {other}"
 
 
-@pytest.mark.parametrize("name", ["index.html", "capture.html"])
-def test_page_preloads_what_it_imports(name: str) -> None:
-    """Every module that the page imports at once is announced in its head: no chain of round trips."""
-    page = (WEB / name).read_text()
-    announced, (main,) = re.findall(r'modulepreload" href="(.+?)"', page), re.findall(r'module" src="(.+?)"', page)
-    assert sorted(announced) == sorted(_reached(main) - {main})
+@pytest.mark.parametrize(("name", "main"), [("index.html", "ui/main.js"), ("capture.html", "ui/capture.js")])
+def test_page_preloads_what_its_main_module_does_not_import_itself(name: str, main: str) -> None:
+    """No chain of round trips, and few requests at once.
+
+    Where the server's certificate is of its own making, Chromium gives each new connection's fault to the most urgent
+    file, the style sheet, which fails (ERR_TOO_MANY_RETRIES) after 32: beside 33 announced modules it did.
+    """
+    announced = re.findall(r'modulepreload" href="(.+?)"', (WEB / name).read_text())
+    assert sorted(announced) == sorted(_reached(main) - {main} - set(_imports(main)))
+    assert len(announced) < 16
 
 
 def _walk(first: Scene, profile: int) -> tuple[list[Scene], list[bytes]]:

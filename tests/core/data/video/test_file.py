@@ -53,6 +53,14 @@ def test_a_codec_that_nobody_knows_is_refused(tmp_path: Path) -> None:
         probe_video(path)
 
 
+def test_a_video_that_is_still_being_recorded_is_said_to_be(tmp_path: Path) -> None:
+    path = tmp_path / "cam.mp4"
+    write_video(path, [picture(0, t) for t in range(3)])
+    path.write_bytes(path.read_bytes().partition(b"moov")[0])  # its index comes last
+    with pytest.raises(InputError, match=r"cam\.mp4: is no video, or one that was cut off or is still being recorded"):
+        probe_video(path)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
 def test_damaged_bytes_are_read_or_refused(tmp_path: Path, suffix: str) -> None:
