@@ -174,6 +174,12 @@ class KeyframeConfig:
         "share of the depth at which first points begin before a camera, nearer than which nothing stays; 0: it may",
         reading(0.0, "not mentioned: anchors may stand anywhere"),
     )
+    hiding_weight: float = setting(
+        0.01,
+        "price of opacity nearer than that before a view between two cameras, for the share of its picture that is"
+        " hidden",
+        reading(0.0, "not mentioned: no picture shows what hangs there"),
+    )
     extra_level_gain: float = setting(
         0.01, "levels that an anchor with large gradients earns at a refinement", octree_gs(0.01, "the size of Delta L")
     )

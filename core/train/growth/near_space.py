@@ -14,12 +14,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from streamlod.core.arrays import Float64
 from streamlod.core.camera import Camera
 from streamlod.core.camera.beside import views_beside
 from streamlod.core.frames import PointCloud
 from streamlod.core.initialise.views import inside, project
 from streamlod.core.train.field.field import Field
+from streamlod.core.train.growth.between import ViewsBetween, scene_begins, views_between
 
 _NEAREST = 0.01  # quantile of the depths of the first points that a camera sees: single points may be wrong
 
@@ -32,11 +32,13 @@ class NearSpace:
         cameras: C pinhole cameras.
         views: V pinhole views, the cameras and those between two neighbours.
         nearest: V depths in world units, 0 where a view holds no first point.
+        between: views in whose way things cost what they hide.
     """
 
     cameras: tuple[Camera, ...]
     views: tuple[Camera, ...]
     nearest: tuple[float, ...]
+    between: ViewsBetween
 
     @torch.no_grad()
     def astray(self, field: Field, clearance: float) -> Tensor:
@@ -57,11 +59,6 @@ class NearSpace:
 def near_space(points: PointCloud, cameras: tuple[Camera, ...]) -> NearSpace:
     """The empty space before `cameras` and half way between them, as first points tell it."""
     views = (*cameras, *views_beside(cameras, 0.5))
-    return NearSpace(cameras, views, tuple(_nearest(points.positions.astype(np.float64), view) for view in views))
-
-
-def _nearest(points: Float64, view: Camera) -> float:
-    """The depth at which `points` [N,3] begin in a view, 0 where it holds none."""
-    pixels, depth = project(view, points)
-    seen = depth[inside(view, pixels, depth)]
-    return float(np.quantile(seen, _NEAREST)) if len(seen) else 0.0
+    positions = points.positions.astype(np.float64)
+    nearest = tuple(scene_begins(positions, view, _NEAREST) for view in views)
+    return NearSpace(cameras, views, nearest, views_between(points, cameras))

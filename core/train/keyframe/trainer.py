@@ -68,10 +68,10 @@ class KeyframeTrainer:
         self._learned = LearnedField(field, self._exposure if config.model.exposure else None)
         settings = self._config
         self._growth = GradientGrowth(settings.growth_threshold, settings.prune_opacity, settings.extra_level_gain)
+        self._space = space
         self._begin_with_anchors(field)
         self._motion_cell = field.octree.motion_cell if motion_cell is None else motion_cell
         self._precision: Precision | None = None
-        self._space = space
         self._whole_loss = torch.zeros((), device=device)  # of the last step that drew all levels
         self._steps = 0
 
@@ -129,7 +129,8 @@ class KeyframeTrainer:
             colour = torch.rand(3, generator=self._generator, device=field.level.device)
             raster = self._view_loss.over(raster, number, colour)
         price = self._view_loss.penalty(splats, raster, prices)
-        loss = self._view_loss.loss(raster, number, price)
+        hiding = config.hiding_weight * (_of_rows(self._hidden, rows) * splats.opacities.clamp(min=0)).sum()
+        loss = self._view_loss.loss(raster, number, price, hiding)
         (loss if cap is None else self._cap_weight(loss.detach()) * loss).backward()  # type: ignore[no-untyped-call]
         self._learned.step(keyframe_rates(config, progress))
         self._exposure.centre()
@@ -143,6 +144,8 @@ class KeyframeTrainer:
             limits = self._highest, self._model.max_anchors
             refine(self._learned, self._statistics, self._growth, *limits, self._generator, self._astray())
             self._begin_with_anchors(self._learned.live)
+        elif self._steps % config.growth_interval == 0:
+            self._look_between(self._learned.live)
         if progress < config.growth_until <= self.progress:
             self._order_by_effect()
         return loss.detach()
@@ -155,6 +158,14 @@ class KeyframeTrainer:
     def _astray(self) -> Tensor | None:
         """[N] anchors that are where the scene is not."""
         return None if self._space is None else self._space.astray(self._learned.settled, self._config.clearance)
+
+    def _look_between(self, field: Field) -> None:
+        """See which Gaussians hang before views between cameras, and how much of their pictures each hides."""
+        self._hidden: Tensor = torch.zeros_like(field.offset[..., 0])  # [N,K]
+        if self._space is not None and self._config.hiding_weight > 0:
+            with torch.no_grad():
+                splats = field.decode(self._centres[0])
+            self._hidden = self._space.between.hidden(splats, self._config.clearance).view(len(field), -1)
 
     def _random_cap(self) -> int | None:
         """The finest level of a step that trains a coarser picture, or None for a step that trains the whole one."""
@@ -245,8 +256,11 @@ class KeyframeTrainer:
         supported = support(field.position, cameras) if self._config.by_support else torch.ones_like(field.extra_level)
         agreement = view_support(supported, field.position, cameras)
         self._agreement = dict(zip(self._whole.usable, agreement, strict=True))  # how often backgrounds are random
+        self._look_between(field)
         values = field.level, supported, price_share(supported)
-        self._of_gaussians = tuple(value.repeat_interleave(field.slots).view(len(field), -1) for value in values)
+        self._of_gaussians: tuple[Tensor, ...] = tuple(
+            value.repeat_interleave(field.slots).view(len(field), -1) for value in values
+        )
 
 
 def _of_rows(values: Tensor, rows: Tensor | None) -> Tensor:

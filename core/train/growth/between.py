@@ -1,0 +1,68 @@
+"""Space between cameras, through which viewers go, and what hangs there before them.
+
+A camera that alone sees a place from afar tells nothing of its depth. What is put too near hides the scene from who
+stands between two others: no picture shows that, so no picture prevents it. Its Gaussians pay for what they hide there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from streamlod.core.arrays import Float64
+from streamlod.core.camera import Camera
+from streamlod.core.camera.beside import views_beside
+from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.views import inside, project
+from streamlod.core.render.reference import MAX_ASIDE, NEAR
+from streamlod.core.train.field.decode import Splats
+
+_SHARES = (0.25, 0.5)  # of the way from each camera to its nearest neighbour
+_NEAREST = 0.02  # quantile of the depths of first points: of those that one camera alone sees, many are too near
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewsBetween:
+    """V pinhole views between cameras, and the depth at which the scene begins before each, 0 where it is not known."""
+
+    views: tuple[Camera, ...]
+    begins: tuple[float, ...]
+
+    @torch.no_grad()
+    def hidden(self, splats: Splats, clearance: float) -> Tensor:
+        """[G] share of a picture that each Gaussian covers of the view in whose way it hangs most; 0 of most Gaussians.
+
+        It hangs in the way where its centre, or one standard deviation beside it, is in the picture, nearer than
+        `clearance` of the depth at which the scene begins. An ellipse of one standard deviation is what it covers.
+        """
+        middle, widest = splats.scales.sort(dim=1).values[:, 1:].unbind(dim=1)
+        most = torch.zeros_like(widest)
+        for view, begins in zip(self.views, self.begins, strict=True):
+            pose = torch.from_numpy(view.world_to_camera).to(splats.means)
+            x, y, depth = (splats.means @ pose[:3, :3].T + pose[:3, 3]).unbind(dim=1)
+            in_way = (depth > NEAR) & (depth < clearance * begins)
+            (fx, _, cx), (_, fy, cy), _ = view.intrinsics.tolist()
+            unit = fx / depth.clamp_min(NEAR)  # pixels of one world unit
+            for centre, size in ((unit * x + cx, view.width), (unit * fy / fx * y + cy, view.height)):
+                away = (centre - 0.5 * size).abs()
+                in_way &= (away <= 0.5 * size + unit * widest) & (away <= MAX_ASIDE * size)
+            share = torch.pi * unit.square() * widest * middle / (view.width * view.height)
+            most = torch.maximum(most, in_way * share.clamp(max=1.0))
+        return most
+
+
+def views_between(points: PointCloud, cameras: tuple[Camera, ...]) -> ViewsBetween:
+    """Views a quarter of the way and half way from each of `cameras` to the next, before what `points` tell."""
+    views = tuple(view for share in _SHARES for view in views_beside(cameras, share))
+    positions = points.positions.astype(np.float64)
+    return ViewsBetween(views, tuple(scene_begins(positions, view, _NEAREST) for view in views))
+
+
+def scene_begins(points: Float64, view: Camera, quantile: float) -> float:
+    """The depth of which so many of the `points` [N,3] that a view holds are nearer; 0 where it holds none."""
+    pixels, depth = project(view, points)
+    seen = depth[inside(view, pixels, depth)]
+    return float(np.quantile(seen, quantile)) if len(seen) else 0.0
