@@ -12,6 +12,7 @@ import numpy as np
 from streamlod.core.arrays import Float64
 from streamlod.core.calibration.solve import Calibration
 from streamlod.core.calibration.walk_coverage import QUARTERS
+from streamlod.core.data.names import spoken
 from streamlod.core.files import write_bytes
 
 if TYPE_CHECKING:
@@ -59,22 +60,23 @@ def advice_of(calibration: Calibration) -> Iterator[str]:
                 f"{camera.name} is known to {degrees:.2f} degrees and {1000 * metres:.0f} mm only: walk longer, and "
                 "nearer to it, where another camera sees the board too"
             )
-        if (uneven := calibration.uneven[number]) > _WEAK_SECONDS:
-            yield (
-                f"{camera.name} takes its pictures {1000 * uneven:.0f} ms earlier or later than their times say, which "
-                "the calibration allows for: end other programs, or film at a constant rate"
-            )
         if calibration.rms(number) > _WEAK_PIXELS:
             yield (
                 f"{camera.name} has a reprojection error of {calibration.rms(number):.1f} pixels: blur, a board that "
                 "is not flat, or pictures at other times than stated"
             )
+    if uneven := {number: seconds for number, seconds in enumerate(calibration.uneven) if seconds > _WEAK_SECONDS}:
+        yield (
+            f"{spoken(calibration.cameras[number].name for number in uneven)}: pictures were taken up to "
+            f"{1000 * max(uneven.values()):.0f} ms earlier or later than their times say, which the calibration allows "
+            "for: end other programs, or film at a constant rate"
+        )
     if calibration.floor_by_board:
         yield "the floor is where the board lay: z = 0 there, z up, metres"
     else:
         yield (
             "z is up as the cameras are held, and 0 at the lowest place of the board; lay the board on the floor for "
-            "two seconds to have the true floor"
+            "three seconds to have the true floor"
         )
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from streamlod.core.data.names import spoken
 from streamlod.core.errors import BackendUnavailable, InputError
 from streamlod.core.files import write_bytes, write_text
 from streamlod.core.masking import masked
@@ -130,7 +131,7 @@ def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings
 
         def tell(missing: Mapping[str, str]) -> None:
             if missing:
-                say(f"trouble with {_list(missing)}")
+                say(f"trouble with {trouble_of(missing)}")
 
         pool = stack.enter_context(ThreadPoolExecutor(1, "walk"))
         walk = WalkWatch(names, board, say, rig.show, pool)
@@ -226,11 +227,14 @@ def _show_pages(pages: Mapping[str, str], say: Say) -> None:
 
 
 def _waiting(missing: Mapping[str, str]) -> str:
-    return f"waiting for {_list(missing)}" if missing else "waiting for all cameras to film at the same time"
+    return f"waiting for {trouble_of(missing)}" if missing else "waiting for all cameras to film at the same time"
 
 
-def _list(missing: Mapping[str, str]) -> str:
-    return ", ".join(f"{name} ({fault})" if fault else name for name, fault in missing.items())
+def trouble_of(missing: Mapping[str, str]) -> str:
+    """The cameras in `missing`, each with what is wrong with it, those with the same fault together."""
+    faults = dict.fromkeys(missing.values())  # in their order; cameras of one fault are named together
+    cameras = [spoken([name for name in missing if missing[name] == fault]) for fault in faults]
+    return ", ".join(f"{names} ({fault or 'no pictures come'})" for names, fault in zip(cameras, faults, strict=True))
 
 
 def _check_folder(folder: Path, *, overwrite: bool) -> None:

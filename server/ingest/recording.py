@@ -25,7 +25,7 @@ from streamlod.server.ingest.sync.synchroniser import CameraState, Instant
 
 _TELL_SECONDS = 5.0
 _SLOWEST = 0.8  # of the rig's rate, below which a camera's own is told
-_SLOW = "{:.0f} pictures a second, but the rig wants {:g}: give it more light, or write a lower fps into the rig's file"
+_SLOW = "{:.0f} a second, but the rig wants {:g} pictures: give more light, or write a lower fps into the rig's file"
 _LATE_SECONDS = 1.5  # that pictures may be on their way after the end
 _BUFFERED = 32  # pictures of a camera that may wait to be written
 _TICKS = 90_000  # a second, of the files' times
@@ -111,9 +111,10 @@ def _telling(rig: Rig, tell: Callable[[Mapping[str, str]], None]) -> Iterator[No
         while not over.wait(_TELL_SECONDS):
             now = {name: camera.counts.received for name, camera in rig.statistics().cameras.items()}
             rates = {name: (count - before[name]) / _TELL_SECONDS for name, count in now.items() if before.get(name)}
-            slow = {name: _SLOW.format(rate, rig.fps) for name, rate in rates.items() if rate < _SLOWEST * rig.fps}
+            slow = {name: rate for name, rate in rates.items() if rate < _SLOWEST * rig.fps}
+            why_slow = _SLOW.format(min(slow.values(), default=0.0), rig.fps)  # one reason, so that it is told once
             before = now
-            tell(slow | _missing(rig))
+            tell(dict.fromkeys(slow, why_slow) | _missing(rig))
 
     telling = threading.Thread(target=watch, daemon=True, name="telling")
     telling.start()

@@ -23,7 +23,7 @@ from streamlod.core.data.video.file import probe_video
 from streamlod.core.errors import InputError
 from streamlod.server.auth.gate import hash_token
 from streamlod.server.cli.check import check
-from streamlod.server.cli.rig import find, watch
+from streamlod.server.cli.rig import find, trouble_of, watch
 from streamlod.server.ingest import recording
 from streamlod.server.ingest.cameras.definition import read_definition
 from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
@@ -238,8 +238,14 @@ def test_a_camera_slower_than_the_rig_is_named_while_it_is_recorded(
     rig, said = write_definition(tmp_path, ["slow.mp4"]), list[str]()
     watch(rig, tmp_path / "walk", 3.0, Settings(), said.append, overwrite=False)
     assert said[-3] == "the board: no camera has seen it, which is to have 7x5 squares of 55 mm", said
-    slow = r"trouble with cam0 \([345] pictures a second, but the rig wants "
+    slow = r"trouble with cam0 \([345] a second, but the rig wants "
     assert any(re.match(slow, line) for line in said), said
+
+
+def test_cameras_of_one_fault_are_named_together() -> None:
+    slow = "5 a second, but the rig wants 8 pictures"
+    found = trouble_of({"phone1": slow, "phone2": "", "phone3": slow})
+    assert found == f"phone1 and phone3 ({slow}), phone2 (no pictures come)"
 
 
 def test_a_damaged_description_of_the_board_is_told_before_anything_is_waited_for(tmp_path: Path) -> None:
