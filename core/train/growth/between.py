@@ -39,10 +39,10 @@ class ViewsBetween:
         `clearance` of the depth at which the scene begins. An ellipse of one standard deviation is what it covers.
         """
         middle, widest = splats.scales.sort(dim=1).values[:, 1:].unbind(dim=1)
-        most = torch.zeros_like(widest)
+        means, most = splats.means.unbind(dim=1), torch.zeros_like(widest)
         for view, begins in zip(self.views, self.begins, strict=True):
-            pose = torch.from_numpy(view.world_to_camera).to(splats.means)
-            x, y, depth = (splats.means @ pose[:3, :3].T + pose[:3, 3]).unbind(dim=1)
+            rows = view.world_to_camera[:3].tolist()  # numbers, since a tensor would have to be copied to the device
+            x, y, depth = (a * means[0] + b * means[1] + c * means[2] + d for a, b, c, d in rows)
             in_way = (depth > NEAR) & (depth < clearance * begins)
             (fx, _, cx), (_, fy, cy), _ = view.intrinsics.tolist()
             unit = fx / depth.clamp_min(NEAR)  # pixels of one world unit

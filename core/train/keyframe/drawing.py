@@ -43,7 +43,9 @@ class ViewLoss:
         image = self.exposure.apply(raster.image, number)
         return total_loss(image, self.views.targets[number], self.config.dssim_weight, prices)
 
-    def penalty(self, splats: Splats, raster: Raster, share: Tensor | None = None) -> Tensor:
+    def penalty(
+        self, splats: Splats, raster: Raster, share: Tensor | None = None, hiding: Tensor | None = None
+    ) -> Tensor:
         """What Gaussians cost whatever they show: volume and, of those in view of `raster`, opacity.
 
         With few views many Gaussians are not constrained by any picture. A penalty on opacity removes those, as in
@@ -53,11 +55,12 @@ class ViewLoss:
 
         Args:
             share: [G] of the price on opacity that each Gaussian pays, 1 by default.
+            hiding: [G] further price of each opacity, in view or not, 0 by default.
         """
         config = self.config
         opacity_weight = config.opacity_weight / max(len(self.views.usable) - 1, 1)
         weights = config.scale_weight, opacity_weight
-        return penalty(splats.scales, splats.opacities, raster.probe.visible, *weights, share)
+        return penalty(splats.scales, splats.opacities, raster.probe.visible, *weights, share, hiding)
 
     @torch.no_grad()
     def squared_error(self, raster: Raster, number: int) -> float:

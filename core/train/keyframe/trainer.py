@@ -128,9 +128,8 @@ class KeyframeTrainer:
         if config.random_background and float(torch.rand((), generator=self._chances)) < self._agreement[number]:
             colour = torch.rand(3, generator=self._generator, device=field.level.device)
             raster = self._view_loss.over(raster, number, colour)
-        price = self._view_loss.penalty(splats, raster, prices)
-        hiding = config.hiding_weight * (_of_rows(self._hidden, rows) * splats.opacities.clamp(min=0)).sum()
-        loss = self._view_loss.loss(raster, number, price, hiding)
+        price = self._view_loss.penalty(splats, raster, prices, _of_rows(self._hiding, rows))
+        loss = self._view_loss.loss(raster, number, price)
         (loss if cap is None else self._cap_weight(loss.detach()) * loss).backward()  # type: ignore[no-untyped-call]
         self._learned.step(keyframe_rates(config, progress))
         self._exposure.centre()
@@ -160,12 +159,13 @@ class KeyframeTrainer:
         return None if self._space is None else self._space.astray(self._learned.settled, self._config.clearance)
 
     def _look_between(self, field: Field) -> None:
-        """See which Gaussians hang before views between cameras, and how much of their pictures each hides."""
-        self._hidden: Tensor = torch.zeros_like(field.offset[..., 0])  # [N,K]
+        """See which Gaussians hang before views between cameras, and what their opacity costs there, [N,K]."""
+        self._hiding: Tensor = torch.zeros_like(field.offset[..., 0])
         if self._space is not None and self._config.hiding_weight > 0:
             with torch.no_grad():
                 splats = field.decode(self._centres[0])
-            self._hidden = self._space.between.hidden(splats, self._config.clearance).view(len(field), -1)
+            hidden = self._space.between.hidden(splats, self._config.clearance)
+            self._hiding = self._config.hiding_weight * hidden.view(len(field), -1)
 
     def _random_cap(self) -> int | None:
         """The finest level of a step that trains a coarser picture, or None for a step that trains the whole one."""

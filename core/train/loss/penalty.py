@@ -15,6 +15,7 @@ def penalty(
     scale_weight: float,
     opacity_weight: float,
     share: Tensor | None = None,
+    hiding: Tensor | None = None,
 ) -> Tensor:
     """[] weighted sum of the mean volume of the Gaussians that are drawn and of the opacity of those in view, over G.
 
@@ -22,29 +23,29 @@ def penalty(
         scales: [G,3]. opacities: [G], at or below zero for those that are not drawn.
         visible: [V] int64 rows of the Gaussians in view of the picture that is trained.
         share: [G] of the price on opacity that each pays, 1 by default.
+        hiding: [G] further price of each opacity, in view or not, 0 by default.
     """
-    paying = torch.zeros_like(opacities, requires_grad=False).index_fill_(0, visible, 1.0)
+    prices = torch.zeros_like(opacities, requires_grad=False).index_fill_(0, visible, opacity_weight / len(opacities))
     if share is not None:
-        paying = paying * share
-    weights = scale_weight, opacity_weight
+        prices = prices * share
+    if hiding is not None:
+        prices = prices + hiding
     if scales.device.type == "cpu":
-        return penalty_reference(scales, opacities, paying, *weights)
-    price: Tensor = _OnDevice.apply(scales, opacities, paying, *weights)  # type: ignore[no-untyped-call]
+        return penalty_reference(scales, opacities, prices, scale_weight)
+    price: Tensor = _OnDevice.apply(scales, opacities, prices, scale_weight)  # type: ignore[no-untyped-call]
     return price
 
 
-def penalty_reference(
-    scales: Tensor, opacities: Tensor, paying: Tensor, scale_weight: float, opacity_weight: float
-) -> Tensor:
-    """`penalty` differentiated by torch, on any device; paying: [G] share of the price, 0 for those out of view."""
+def penalty_reference(scales: Tensor, opacities: Tensor, prices: Tensor, scale_weight: float) -> Tensor:
+    """`penalty` differentiated by torch, on any device; prices: [G] of the opacities."""
     opacity = opacities.clamp(min=0)
     drawn = (opacity.detach() > 0).float()
     volume = (scales.prod(dim=1) * drawn).sum() / drawn.sum().clamp_min(1)
-    return scale_weight * volume + opacity_weight * (opacity * paying).mean()
+    return scale_weight * volume + (opacity * prices).sum()
 
 
 def _priced(
-    scales: Tensor, opacities: Tensor, paying: Tensor, drawn: Tensor, scale_weight: float, opacity_weight: float
+    scales: Tensor, opacities: Tensor, prices: Tensor, drawn: Tensor, scale_weight: float
 ) -> tuple[Tensor, Tensor, Tensor]:
     """[G] what each Gaussian adds, and the derivatives by `scales` [G,3] and `opacities` [G].
 
@@ -53,22 +54,21 @@ def _priced(
     """
     x, y, z = scales.unbind(dim=1)
     volume_weight = scale_weight * (opacities > 0) / drawn.clamp_min(1)
-    paid = (opacity_weight / len(opacities)) * paying
-    price = volume_weight * x * y * z + paid * opacities.clamp(min=0)
+    price = volume_weight * x * y * z + prices * opacities.clamp(min=0)
     by_scales = volume_weight[:, None] * torch.stack([y * z, x * z, x * y], dim=1)
-    return price, by_scales, paid * (opacities >= 0)
+    return price, by_scales, prices * (opacities >= 0)
 
 
 class _OnDevice(torch.autograd.Function):
     """`penalty_reference` in few launches: the gradient is made together with the value."""
 
     @staticmethod
-    def forward(ctx: Any, scales: Tensor, opacities: Tensor, paying: Tensor, *weights: float) -> Tensor:
-        price, *ctx.gradients = _priced(scales, opacities, paying, (opacities > 0).sum(), *weights)
+    def forward(ctx: Any, scales: Tensor, opacities: Tensor, prices: Tensor, scale_weight: float) -> Tensor:
+        price, *ctx.gradients = _priced(scales, opacities, prices, (opacities > 0).sum(), scale_weight)
         total: Tensor = price.sum()
         return total
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        return (*torch._foreach_mul(ctx.gradients, upstream), None, None, None)
+        return (*torch._foreach_mul(ctx.gradients, upstream), None, None)

@@ -65,12 +65,12 @@ def test_residuals_are_applied_as_on_the_cpu(gpu: str) -> None:
 
 
 def test_penalty_equals_the_cpu(gpu: str) -> None:
-    scales, opacities = torch.rand(70, 3), torch.rand(70) - 0.3
+    scales, opacities, hiding = torch.rand(70, 3), torch.rand(70) - 0.3, torch.rand(70)
     opacities[0] = 0
     visible = torch.arange(0, 70, 3)
 
     def priced(*given: torch.Tensor) -> torch.Tensor:
-        return penalty(*given, visible.to(given[0].device), 0.3, 0.2)
+        return penalty(*given, visible.to(given[0].device), 0.3, 0.2, None, hiding.to(given[0].device))
 
     _equal_the_cpu(priced, (scales, opacities), gpu)
 

@@ -41,6 +41,18 @@ def test_gaussians_out_of_view_pay_nothing() -> None:
     torch.testing.assert_close(opacities.grad, torch.tensor([0.0, price, 0.0, price, 0.0]))
 
 
+def test_what_hides_a_view_between_cameras_pays_in_every_step() -> None:
+    config = KeyframeConfig(scale_weight=0.0, opacity_weight=0.4)
+    loss = ViewLoss(Views(ring(3), torch.zeros(3, 32, 48, 3), [0, 1, 2]), neutral(3), config, "cpu")
+    opacities = torch.tensor([0.5, 0.5, 0.5, -0.1], requires_grad=True)
+    hiding = torch.tensor([0.0, 0.3, 0.3, 0.3])
+    price = loss.penalty(splats(opacities, torch.ones(4, 3)), seen(0, 1), torch.full((4,), 0.5), hiding)
+    price.backward()  # type: ignore[no-untyped-call]
+    in_view = 0.5 * 0.4 / 2 / 4
+    assert price.item() == pytest.approx(0.5 * (2 * in_view + 2 * 0.3))
+    torch.testing.assert_close(opacities.grad, torch.tensor([in_view, in_view + 0.3, 0.3, 0.0]))
+
+
 def test_each_shown_gaussian_pays_for_its_opacity_and_volume() -> None:
     opacities = torch.tensor([0.5, -0.2, 0.1, 0.9], requires_grad=True)
     scales = torch.tensor([[1.0, 2.0, 3.0], [9.0, 9.0, 9.0], [1.0, 1.0, 1.0], [2.0, 1.0, 1.0]], requires_grad=True)
