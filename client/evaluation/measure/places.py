@@ -18,7 +18,7 @@ from streamlod.core.camera.beside import views_beside
 from streamlod.core.camera.space import UNCHANGED, Similarity
 from streamlod.core.synthetic import SyntheticSpec, render_view
 
-BESIDE = (0.05, 0.1, 0.5)  # shares of the way from a camera to its nearest neighbour; the last lies between the two
+BESIDE = (0.05, 0.1, 0.25, 0.5)  # shares of the way from a camera to its nearest neighbour; the last is half way
 PLACES = {  # figures of a run by name: place and figure
     "at_psnr": ("at", "psnr"),
     "at_psnr_fitted": ("at", "psnr_fitted"),
