@@ -176,8 +176,8 @@ class KeyframeConfig:
     )
     hiding_weight: float = setting(
         0.01,
-        "price of opacity nearer than that before a view between two cameras, for the share of its picture that is"
-        " hidden",
+        "price of opacity before a view between two cameras, nearer than `clearance` allows, for hiding its whole"
+        " picture; less as less is hidden",
         reading(0.0, "not mentioned: no picture shows what hangs there"),
     )
     extra_level_gain: float = setting(

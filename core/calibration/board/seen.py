@@ -119,16 +119,17 @@ def _corners(samples: Sequence[_Sample], board: Board, *, mirrored: bool = False
 def _why_rarely(samples: Sequence[_Sample], board: Board) -> str:
     """One sentence about a camera that hardly sees the board."""
     return (
-        _why_mirrored_or_far(samples, board)
+        _why_mirrored_or_far(samples, board, _markers(samples, board))
         or "hardly sees the board; walk longer, facing it, nearer to it and slower, with more light"
     )
 
 
 def _why_unseen(samples: Sequence[_Sample], board: Board) -> str:
     """One sentence about a board that no camera shows as described."""
-    if reason := _why_mirrored_or_far(samples, board):
+    at_once = _markers(samples, board)
+    if reason := _why_mirrored_or_far(samples, board, at_once):
         return reason
-    markers = [marker for seen in _markers(samples, board) for marker in seen]
+    markers = [marker for seen in at_once for marker in seen]
     if len(markers) < 2 * _FEW:
         return (
             f"no board of {board.columns}x{board.rows} squares with markers of {board.dictionary} is seen; "
@@ -144,11 +145,14 @@ def _why_unseen(samples: Sequence[_Sample], board: Board) -> str:
     )
 
 
-def _why_mirrored_or_far(samples: Sequence[_Sample], board: Board) -> str:
-    """One sentence where the pictures show the board mirrored, or some of its markers alone; else nothing."""
+def _why_mirrored_or_far(samples: Sequence[_Sample], board: Board, at_once: Sequence[Sequence[int]]) -> str:
+    """One sentence where the pictures show the board mirrored, or some of its markers alone; else nothing.
+
+    Args:
+        at_once: the markers that are read in each picture.
+    """
     if any(_corners(samples, variant, mirrored=True) >= MIN_CORNERS for variant in variants(board)[:2]):
         return "its pictures show the board mirrored; switch the mirroring of the camera off, or print the board anew"
-    at_once = _markers(samples, board)
     markers = [marker for seen in at_once for marker in seen]
     most = max((len(set(seen)) for seen in at_once), default=0)
     if len(markers) >= 2 * _FEW and 2 * most <= max(markers) + 1:

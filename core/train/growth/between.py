@@ -1,7 +1,7 @@
 """Space between cameras, through which viewers go, and what hangs there before them.
 
-A camera that alone sees a place from afar tells nothing of its depth. What is put too near hides the scene from who
-stands between two others: no picture shows that, so no picture prevents it. Its Gaussians pay for what they hide there.
+A camera that alone sees a place from afar tells nothing of its depth. What is then put too near hides the scene from a
+viewer between two other cameras. No picture shows that, so no picture prevents it: Gaussians pay for what they hide.
 """
 
 from __future__ import annotations
@@ -26,20 +26,30 @@ _NEAREST = 0.02  # quantile of the depths of first points: of those that one cam
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewsBetween:
-    """V pinhole views between cameras, and the depth at which the scene begins before each, 0 where it is not known."""
+    """What viewers between cameras see.
+
+    Attributes:
+        views: V pinhole views.
+        begins: V depths in world units at which the scene begins, 0 where no first point is in view.
+    """
 
     views: tuple[Camera, ...]
     begins: tuple[float, ...]
 
     @torch.no_grad()
     def hidden(self, splats: Splats, clearance: float) -> Tensor:
-        """[G] share of a picture that each Gaussian covers of the view in whose way it hangs most; 0 of most Gaussians.
+        """[G] share of a view's picture that each Gaussian hides, the largest of all views; 0 of most Gaussians.
 
-        It hangs in the way where its centre, or one standard deviation beside it, is in the picture, nearer than
-        `clearance` of the depth at which the scene begins. An ellipse of one standard deviation is what it covers.
+        A Gaussian hides something where it is nearer than `clearance` of the depth at which the scene begins, and its
+        centre, or a point one standard deviation beside it, lies in the picture. It hides the area of the ellipse of
+        its two longer standard deviations, at most the whole picture.
+
+        Args:
+            splats: G Gaussians in the world.
+            clearance: as `KeyframeConfig.clearance`.
         """
         middle, widest = splats.scales.sort(dim=1).values[:, 1:].unbind(dim=1)
-        means, most = splats.means.unbind(dim=1), torch.zeros_like(widest)
+        means, hidden = splats.means.unbind(dim=1), torch.zeros_like(widest)
         for view, begins in zip(self.views, self.begins, strict=True):
             rows = view.world_to_camera[:3].tolist()  # numbers, since a tensor would have to be copied to the device
             x, y, depth = (a * means[0] + b * means[1] + c * means[2] + d for a, b, c, d in rows)
@@ -50,19 +60,19 @@ class ViewsBetween:
                 away = (centre - 0.5 * size).abs()
                 in_way &= (away <= 0.5 * size + unit * widest) & (away <= MAX_ASIDE * size)
             share = torch.pi * unit.square() * widest * middle / (view.width * view.height)
-            most = torch.maximum(most, in_way * share.clamp(max=1.0))
-        return most
+            hidden = torch.maximum(hidden, in_way * share.clamp(max=1.0))
+        return hidden
 
 
 def views_between(points: PointCloud, cameras: tuple[Camera, ...]) -> ViewsBetween:
-    """Views a quarter of the way and half way from each of `cameras` to the next, before what `points` tell."""
+    """Views a quarter of the way and half way from each of `cameras` to its neighbour, with first points `points`."""
     views = tuple(view for share in _SHARES for view in views_beside(cameras, share))
     positions = points.positions.astype(np.float64)
     return ViewsBetween(views, tuple(scene_begins(positions, view, _NEAREST) for view in views))
 
 
 def scene_begins(points: Float64, view: Camera, quantile: float) -> float:
-    """The depth of which so many of the `points` [N,3] that a view holds are nearer; 0 where it holds none."""
+    """The depth at which the scene begins in a view: a low `quantile` of its `points` [N,3]; 0 where it holds none."""
     pixels, depth = project(view, points)
     seen = depth[inside(view, pixels, depth)]
     return float(np.quantile(seen, quantile)) if len(seen) else 0.0

@@ -25,19 +25,20 @@ def penalty(
         share: [G] of the price on opacity that each pays, 1 by default.
         hiding: [G] further price of each opacity, in view or not, 0 by default.
     """
-    prices = torch.zeros_like(opacities, requires_grad=False).index_fill_(0, visible, opacity_weight / len(opacities))
+    price_in_view = opacity_weight / max(len(opacities), 1)
+    prices = torch.zeros_like(opacities, requires_grad=False).index_fill_(0, visible, price_in_view)
     if share is not None:
         prices = prices * share
     if hiding is not None:
         prices = prices + hiding
     if scales.device.type == "cpu":
         return penalty_reference(scales, opacities, prices, scale_weight)
-    price: Tensor = _OnDevice.apply(scales, opacities, prices, scale_weight)  # type: ignore[no-untyped-call]
-    return price
+    total: Tensor = _OnDevice.apply(scales, opacities, prices, scale_weight)  # type: ignore[no-untyped-call]
+    return total
 
 
 def penalty_reference(scales: Tensor, opacities: Tensor, prices: Tensor, scale_weight: float) -> Tensor:
-    """`penalty` differentiated by torch, on any device; prices: [G] of the opacities."""
+    """`penalty` differentiated by torch, on any device; prices: [G] what each opacity costs."""
     opacity = opacities.clamp(min=0)
     drawn = (opacity.detach() > 0).float()
     volume = (scales.prod(dim=1) * drawn).sum() / drawn.sum().clamp_min(1)
