@@ -175,7 +175,7 @@ class KeyframeConfig:
         reading(0.0, "not mentioned: anchors may stand anywhere"),
     )
     hiding_weight: float = setting(
-        0.01,
+        0.001,
         "price of opacity before a view between two cameras, nearer than `clearance` allows, for hiding its whole"
         " picture; less as less is hidden",
         reading(0.0, "not mentioned: no picture shows what hangs there"),
