@@ -184,8 +184,8 @@ def _searched(say: Say) -> list[NamedSource]:
 
 def _prepared_phones(out: Path, say: Say) -> Path:
     """Settings that name a certificate, without which phones give no page their camera; made where there are none."""
+    from streamlod.server.service.addresses import own_address
     from streamlod.server.service.self_signed import write_self_signed
-    from streamlod.server.service.station import own_address
 
     config, certificate, key = (out.with_name(out.stem + end) for end in (".toml", "-certificate.pem", "-key.pem"))
     if not config.exists():

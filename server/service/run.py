@@ -28,6 +28,7 @@ from streamlod.server.http.tls import Certificates, Handshakes, TlsListener
 from streamlod.server.http.websocket import websocket_class
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.pipeline.warming import warm_codec
+from streamlod.server.service.addresses import found_at, is_everywhere
 from streamlod.server.service.app import create_app
 from streamlod.server.service.memory import bound_arenas, leave_out_linear_algebra, page_out_compiler
 from streamlod.server.service.metrics import collector_registry
@@ -126,9 +127,9 @@ def serve(settings: Settings, streams: Sequence[StreamSpec], read_settings: Call
         threading.Thread(target=_warm, name="warm", daemon=True).start()
         parts = {"tokens": registry.gate.reload, "limits and webhooks": lambda: server.adopt(read_settings())}
         with _reload_on_hangup(parts if certificates is None else parts | {"certificates": certificates.reload}):
-            host, port = listener.getsockname()[:2]
-            scheme = "https" if settings.certificate else "http"
-            _LOG.info("listening at %s://%s:%d", scheme, f"[{host}]" if ":" in host else host, port)
+            place = found_at(listener, is_tls=settings.certificate is not None)
+            others = " and all other addresses of this machine" if is_everywhere(listener) else ""
+            _LOG.info("listening at %s%s", place, others)
             server.run(sockets=[listener])
     finally:
         listener.close()

@@ -16,6 +16,7 @@ from streamlod.server.api.push import capture_address, scope_of
 from streamlod.server.api.registry import Registry
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.service.addresses import found_at
 from streamlod.server.service.app import create_app
 from streamlod.server.service.run import Server, bind, certificates_of, server_config
 from streamlod.server.settings import Settings
@@ -23,7 +24,6 @@ from streamlod.server.settings import Settings
 STREAM = "main"  # as `serve --live` calls its stream, so that phones go on when that takes over
 _LINK_SECONDS = 24 * 3600
 _START_SECONDS = 60.0
-_ELSEWHERE = ("192.0.2.1", 9)  # an address of no machine (RFC 5737); nothing is sent to it
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ def station(settings: Settings, rig: Path) -> Iterator[Station]:
             if not thread.is_alive() or time.monotonic() > limit:
                 raise InputError("server", "does not start; see the log")
             time.sleep(0.02)
-        yield Station(registry, _address(settings, listener))
+        yield Station(registry, found_at(listener, is_tls=settings.certificate is not None))
     finally:
         server.should_exit = True
         thread.join()
@@ -90,22 +90,3 @@ async def _run(server: Server, listener: socket.socket, rig: Path) -> None:
         if connection.transport is not None:
             connection.transport.abort()
     await asyncio.sleep(0)
-
-
-def _address(settings: Settings, listener: socket.socket) -> str:
-    host, port = listener.getsockname()[:2]
-    if host in ("0.0.0.0", "::"):
-        host = own_address()
-    scheme = "http" if settings.certificate is None else "https"
-    return f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"
-
-
-def own_address() -> str:
-    """The address of this machine in the network that leads elsewhere; that of loopback without one."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as place:
-        try:
-            place.connect(_ELSEWHERE)
-        except OSError:
-            return "127.0.0.1"
-        found: str = place.getsockname()[0]
-        return found
