@@ -7,7 +7,6 @@ import contextlib
 import json
 import logging
 import multiprocessing
-import time
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import WorkerSettings
 from streamlod.server.worker.cluster.room import Shortage
 from streamlod.server.worker.process import Resume, Tag, resident_bytes, run_worker, send_resume
+from streamlod.server.worker.running_time import RunningTime
 
 _LOG = logging.getLogger(__name__)
 _WATCH_SECONDS = 0.25
@@ -101,6 +101,7 @@ class Supervisor:
         self._limit, self._push_socket, self._camera_pictures = packet_bytes + 1, push_socket, camera_pictures
         self._worker: _Worker | None = None
         self._spare: _Worker | None = None  # a second process, waiting with everything loaded
+        self._clock = RunningTime(_WATCH_SECONDS)
         self._heard = self._progressed = 0.0
         self._ending: Ending | None = None
         self._handling = self._spoke = False
@@ -117,7 +118,7 @@ class Supervisor:
         failures = 0
         try:
             while True:
-                begun = self._progressed = time.monotonic()
+                begun = self._progressed = self._clock.now()
                 try:
                     ending = await self._run_once()
                 except Exception as error:
@@ -150,7 +151,8 @@ class Supervisor:
             worker.pipe.close()
             await asyncio.shield(asyncio.to_thread(worker.process.join, 5))
             raise
-        self._ending, self._heard, self._spoke, self._reported = None, time.monotonic(), False, 0
+        self._clock.begin()
+        self._ending, self._heard, self._spoke, self._reported = None, self._clock.now(), False, 0
         begun = self._heard
         loop = asyncio.get_running_loop()
         thread = ThreadPoolExecutor(1, thread_name_prefix=f"pump-{self._spec.id}")  # the shared pool may be in use
@@ -159,6 +161,7 @@ class Supervisor:
         try:
             while not pump.done():
                 await asyncio.wait([pump], timeout=_WATCH_SECONDS)
+                self._clock.turn()
                 if self._spare is None and self._wants_spare and self._progressed > begun + _SPARE_AFTER_SECONDS:
                     self._spare = self._start(spare=True)
                 reason = reason or self._complaint()
@@ -205,7 +208,7 @@ class Supervisor:
             except (EOFError, OSError):
                 return
             tag, body = Tag(message[0]), message[1:]
-            self._heard = time.monotonic()
+            self._heard = self._clock.now()
             self._spoke = self._spoke or tag is not Tag.PLACED  # its actor has not started yet
             if tag is Tag.HEARTBEAT:
                 self._reported = int.from_bytes(body)
@@ -223,17 +226,17 @@ class Supervisor:
                 try:
                     asyncio.run_coroutine_threadsafe(_await(handled), loop).result()
                     if _is_progress(tag, body):
-                        self._progressed = time.monotonic()
+                        self._progressed = self._clock.now()
                 except Exception as error:
                     _LOG.exception("stream %s: a message of the worker is refused", self._spec.id)
                     self._ending = Ending(f"the worker sent something unusable ({error})")
                     return
                 finally:
-                    self._heard, self._handling = time.monotonic(), False
+                    self._heard, self._handling = self._clock.now(), False
 
     def _complaint(self) -> str | None:
         """Why the worker has to be killed, or None."""
-        now = time.monotonic()
+        now = self._clock.now()
         if self._handling:  # heartbeats are queued behind the message that is being handled
             return None
         if not self._spoke:  # loading takes longer than any silence later, on a busy machine above all

@@ -188,6 +188,39 @@ def test_a_worker_elsewhere_is_watched_by_what_it_tells(entry: Callable[..., Non
     assert (owner.tags.count(Tag.PLACED) == len(owner.endings)) is (entry is not find_no_room)
 
 
+def beat_for_ever(_: StreamSpec, pipe: Connection, *__: object) -> None:
+    """Entry of a process that lives and does nothing else."""
+    receive_resume(pipe)
+    sender = Sender(pipe)
+    sender.send(Tag.REPORT, {})
+    while True:
+        sender.send(Tag.HEARTBEAT)
+        time.sleep(0.05)
+
+
+def test_a_worker_is_not_to_blame_for_a_time_in_which_the_server_stood_still_as_well() -> None:
+    async def run() -> tuple[int | None, int | None, Reports]:
+        owner, watched = Reports(), WorkerSettings(heartbeat_seconds=2.5, stall_seconds=2.5)
+        supervisor = Supervisor(StreamSpec(play=Path("none.slod")), watched, 1000, owner, entry=beat_for_ever)
+        running = asyncio.create_task(supervisor.run())
+        while not owner.tags:
+            await asyncio.sleep(0.01)
+        before = supervisor.pid
+        assert before is not None
+        os.kill(before, signal.SIGSTOP)
+        time.sleep(5)  # of this program, too
+        os.kill(before, signal.SIGCONT)
+        await asyncio.sleep(1)
+        after = supervisor.pid
+        running.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await running
+        return before, after, owner
+
+    before, after, owner = asyncio.run(run())
+    assert (after, owner.endings) == (before, [])
+
+
 class Reading(Reports):
     """Reads the last state for ever, or fails to, while the worker's process begins."""
 
