@@ -72,7 +72,10 @@ def _live(file: Path, settings: Settings, say: Say) -> RigCheck:
     """Examine some instants with all cameras, or, where some give nothing in time, those with the others."""
     from streamlod.core.calibration.checks.finding import fact, weak
     from streamlod.core.calibration.checks.report import examine
+    from streamlod.core.render.backends import cuda_fault
+    from streamlod.server.cli.pace import judged_pace
     from streamlod.server.cli.rig import phones_socket
+    from streamlod.server.doctor.host import usable_cores
     from streamlod.server.ingest.live import open_live
 
     heard = threading.Event()
@@ -100,6 +103,8 @@ def _live(file: Path, settings: Settings, say: Say) -> RigCheck:
         raise InputError(file, f"gave no instant within {seconds:.0f} s; see that its cameras run")
     found = examine(rig.undistortions, frames or list(partial))
     more = [] if told is None else _timed(told, rig.fps)
+    if cuda_fault() is not None:
+        more += judged_pace([plan.camera for plan in rig.undistortions], usable_cores())
     if told is not None and told.sound is not None:
         name = rig.definition.sound_name
         silent = told.sound or ("" if heard.is_set() else f"no sound of {name}: it sent none within {seconds:.0f} s")

@@ -32,8 +32,13 @@ def check_host(host: str, port: int, state: Path | None) -> Iterator[Finding]:
     yield _decoders()
 
 
+def usable_cores() -> int:
+    """Processor cores that this process may run on."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+
+
 def _processor() -> Finding:
-    cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+    cores = usable_cores()
     gibibytes = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     found = f"{cores} cores, {gibibytes:.1f} GiB of memory"
     if gibibytes < MIN_MEMORY_GIB:
