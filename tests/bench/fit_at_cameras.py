@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from streamlod.client.evaluation.measure.places import BESIDE, places, places_table
+from streamlod.client.evaluation.measure.places import BESIDE, places, places_table, true_view
 from streamlod.client.evaluation.measure.scores import Perception, draw, score_picture
 from streamlod.client.evaluation.report.output import result_folder, side_by_side
 from streamlod.client.recorder import write_png
@@ -139,7 +139,7 @@ def save(label: str, picture: Callable[[Camera], UInt8], subject: Subject, folde
     if subject.spec is not None:
         for share in BESIDE:
             for view in views_beside(subject.cameras, share):
-                truth = render_view(subject.spec, subject.frame.index, subject.space.inverse().camera(view))
+                truth = true_view(subject.spec, subject.frame.index, subject.space.inverse().camera(view))
                 shown.append((f"{view.name}-{share:g}-aside", view, truth))
     for place, camera, truth in shown:
         write_png(folder / f"{label}-{place}.png", side_by_side(truth, picture(camera)))

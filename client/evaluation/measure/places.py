@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 
 from streamlod.client.evaluation.measure.scores import Perception, PictureScore, mean_score, score_picture
@@ -55,13 +56,23 @@ def places(
     if spec is not None and len(cameras) > 1:
         for share in BESIDE:
             views = views_beside(cameras, share)
-            seen = [render_view(spec, index, space.inverse().camera(view)) for view in views]
+            seen = [true_view(spec, index, space.inverse().camera(view)) for view in views]
             scores = [score_picture(draw(view), truth, _NO_NETWORKS) for view, truth in zip(views, seen, strict=True)]
             beside[f"{share:g}"] = _figures(mean_score(scores))
     return {
         "at": {camera.name: _figures(score) for camera, score in zip(cameras, at, strict=True)},
         "beside": beside,
     }
+
+
+def true_view(spec: SyntheticSpec, index: int, camera: Camera) -> UInt8:
+    """[H,W,3] what `camera` sees of a clip, where smaller than the clip's pictures scaled down as those are."""
+    factor = np.sqrt(spec.width * spec.height / (camera.width * camera.height))
+    size = round(camera.width * factor), round(camera.height * factor)
+    if factor <= 1 or size == (camera.width, camera.height):
+        return render_view(spec, index, camera)
+    whole = render_view(spec, index, camera.scaled(*size))
+    return np.asarray(cv2.resize(whole, (camera.width, camera.height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def mean_figure(found: dict[str, Any], place: str, figure: str) -> float | None:

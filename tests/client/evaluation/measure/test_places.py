@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -11,6 +12,7 @@ from streamlod.client.evaluation.measure.places import (
     mean_places,
     places,
     places_table,
+    true_view,
 )
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera import Camera
@@ -41,6 +43,17 @@ def test_what_is_true_is_told_apart_from_what_is_too_bright() -> None:
     assert mean_figure(found, "0.3", "psnr") is None
     assert "at cam01" in places_table(found)
     assert "10% of the way" in places_table(found)
+
+
+def test_beside_the_cameras_of_smaller_pictures_the_truth_is_averaged_as_theirs_are() -> None:
+    camera = cameras(SPEC)[1]
+    small = camera.scaled(32, 18)
+    averaged = cv2.resize(render_image(SPEC, 0, 1), (32, 18), interpolation=cv2.INTER_AREA)
+    np.testing.assert_array_equal(true_view(SPEC, 0, small), averaged)
+    assert np.abs(render_view(SPEC, 0, small).astype(int) - averaged).max() > 20
+    turned = true_view(SPEC, 0, small.turned())
+    assert np.abs(turned - np.rot90(averaged).astype(float)).mean() < 2  # edges are found along rows
+    np.testing.assert_array_equal(true_view(SPEC, 0, camera), render_view(SPEC, 0, camera))
 
 
 def test_frames_are_averaged_at_each_camera_that_has_them() -> None:
