@@ -176,6 +176,9 @@ class LiveDataset:
                         raise failure
                     return
                 instant, images, present = newest
+                if index == 0 and self.definition.realtime and poses.is_to_be_put_right(images, present, pool):
+                    rig.note_stale()
+                    continue
                 latency_ns = rig.note_delivery(instant)
                 first = instant if first is None else first
                 time_ns = first.capture_ns + round((instant.number - first.number) * period_of(self.fps))

@@ -1,8 +1,9 @@
-"""Watches whether the poses of a rig hold for what its cameras film, in a hundredth of the time.
+"""Watches whether the poses of a rig hold for what its cameras film, in a hundredth of the time; a tenth if they do not.
 
 The first look is at the first instant, before anything is trained: who moved a camera after calibrating, or gave two
-phones each other's names, is told before the first picture. It compares what two and three cameras share with their
-poses, as `streamlod check` does, in smaller pictures. Cameras that share too little with others are not judged.
+phones each other's names, is told before the first picture, which waits up to a minute for it to be put right: what was
+trained with wrong poses takes minutes to come right. A look compares what two and three cameras share with their poses,
+as `streamlod check` does, in smaller pictures. Cameras that share too little with others are not judged.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from streamlod.core.data.lens import Undistortion
 from streamlod.server.ingest.watch import Watch
 
 _SHARE = 0.01  # of the time that looking may take
+_MENDED_SHARE = 0.1  # the same while poses do not hold, so that who mends it soon knows
+_MENDING_SECONDS = 60.0  # that people have for it before the first picture
 _SIDE = 640  # pixels of the longer side of what is looked at; larger pictures take longer and tell little more
 
 
@@ -43,7 +46,20 @@ class PoseWatch:
     ) -> None:
         self._plans, self._tell, self._clock, self._due = tuple(plans), tell, clock, -np.inf
         self._seen = np.zeros(len(self._plans), np.bool_)
+        self._began: float | None = None
+        self._holds = True
         self._watch = Watch("poses are no longer compared with the pictures", lambda: tell(()))
+
+    def is_to_be_put_right(self, images: UInt8, present: Bool, pool: Executor) -> bool:
+        """Look at pictures [C,H,W,3] of which a scene would be trained; whether it is to wait, as poses do not hold.
+
+        True for a minute at most.
+        """
+        self._began = self._clock() if self._began is None else self._began
+        if self._clock() - self._began >= _MENDING_SECONDS:
+            return False
+        self._watch.begin(lambda: self._look(images, present), pool)
+        return self._watch.finish() and not self._holds
 
     def look(self, images: UInt8, present: Bool, pool: Executor) -> None:
         """Look at the newest pictures [C,H,W,3] on a thread of `pool`, if it is time or a camera is seen first."""
@@ -56,9 +72,10 @@ class PoseWatch:
         pairs = _shared(images[present])
         found = poses.judged(agreements(pairs, [plan.camera for plan in plans]), pairs, plans)
         faults = tuple(finding.sentence for finding in found if finding.severity == "fault")
+        self._holds = not faults
         self._tell(faults)
         self._seen |= present
-        self._due = self._clock() + (self._clock() - begin) / _SHARE
+        self._due = self._clock() + (self._clock() - begin) / (_MENDED_SHARE if faults else _SHARE)
 
 
 def _shared(images: UInt8) -> list[PairMatches]:

@@ -27,7 +27,7 @@ const USUAL_GAPS = 4; // so many times the usual time between two frames is a st
  * @property {number | null} clockMs - what to add to this side's Unix time to have the server's
  * @property {string} detail - the other side's words, may be empty
  * @property {string} stage - of training the first frame, in the server's words, may be empty
- * @property {string} trouble - what a degraded stream suffers from, else empty
+ * @property {string} trouble - what a degraded stream or one that starts suffers from, else empty
  * @property {number | null} fraction - of training the first frame
  * @property {{ oldest: Position, newest: Position } | null} window
  * @property {Position | null} position - newest applied
@@ -194,7 +194,7 @@ export class Session {
   #streamState(state, detail) {
     this.streamState = state;
     this.status.detail = detail ?? "";
-    this.status.trouble = state === "degraded" ? this.status.detail : "";
+    this.status.trouble = ["starting", "degraded"].includes(state) ? this.status.detail : "";
   }
 
   /** The phase that follows from what is known. */

@@ -14,6 +14,12 @@ const WITHOUT_PICTURE = ["connecting", "reconnecting", "deleted", "failed", "ver
 /** @type {(chip: string, tone: Words["tone"], title: string, text: string, more?: object) => Words} */
 const full = (chip, tone, title, text, more = {}) => ({ chip, tone, card: { title, text: text.charAt(0).toUpperCase() + text.slice(1), spinner: false, ...more } });
 
+/** What is going on, with the beginning of what is wrong. @type {(what: string, trouble: string) => string} */
+function but(what, trouble) {
+  if (!trouble) return what;
+  return `${what}, but ${trouble.length > MAX_CHARACTERS ? `${trouble.slice(0, MAX_CHARACTERS)}…` : trouble}`;
+}
+
 /** How far back, for people. @type {(seconds: number | null) => string} */
 function behind(seconds) {
   if (seconds === null) return "Behind live";
@@ -49,14 +55,14 @@ export function words(status, picture, waitMs) {
         detail || stage || "The picture appears as soon as there is one.",
         { spinner: true, fraction: fraction === null ? WAITING_AT : TRAINING_FROM + TRAINING * fraction });
     case "preview":
-      return small(fraction === null ? "Waiting for new frames" : `Preview, trained to ${Math.round(100 * fraction)} %`, "busy");
+      return small(but(fraction === null ? "Waiting for new frames" : `Preview, trained to ${Math.round(100 * fraction)} %`, trouble), "busy");
     case "live":
-      if (trouble) return small(`Live, but ${trouble.length > MAX_CHARACTERS ? `${trouble.slice(0, MAX_CHARACTERS)}…` : trouble}`, "busy");
+      if (trouble) return small(but("Live", trouble), "busy");
       return source === "cameras" ? small("Live", "live") : small("Newest frame", "good");
     case "behind":
       return small(source === "cameras" ? behind(status.lagSeconds) : "Playing", "good");
     case "replay":
-      return small(trouble ? `Replay, but ${trouble}` : "Replay", "good");
+      return small(but("Replay", trouble), "good");
     case "paused":
       return small("Paused", "quiet");
     case "stalled":
@@ -67,7 +73,7 @@ export function words(status, picture, waitMs) {
       return full("Reconnecting", "busy", detail ? "Not available now" : "The server does not answer", `${detail && `${detail}. `}Trying again${when}.`, { spinner: true, button: "Try now" });
     }
     case "ended":
-      return picture ? small(trouble ? `Ended, but ${trouble}` : "Ended", "quiet") : full("Ended", "quiet", "This stream has ended", detail || "There is nothing to show any more.");
+      return picture ? small(but("Ended", trouble), "quiet") : full("Ended", "quiet", "This stream has ended", detail || "There is nothing to show any more.");
     case "deleted":
       if (picture) return small("Deleted, this is its last picture", "bad");
       return full("Deleted", "bad", "This stream was deleted", detail || "There is nothing to show any more.", { button: "Show streams" });

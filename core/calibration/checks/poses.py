@@ -58,7 +58,7 @@ def _exchange(order: Order, names: Sequence[str]) -> str:
     moved = [number for number, camera in enumerate(order) if camera != number]
     some = spoken(names[number] for number in moved)
     if len(moved) == 2:
-        return f"{some} are exchanged: each shows what the other's pose sees; swap their names"
+        return f"{some} are exchanged: swap their names, as each shows what the other's pose sees"
     right = listed(names[order[number]] for number in moved)
     return f"{some} are exchanged: they show what the poses of {right} see, in this order; name them so"
 

@@ -453,7 +453,9 @@ test("session: the welcome tells the progress of the first frame and the server'
   const session = new Session(0);
   session.opened(1000);
   session.control(welcome({ state: "starting", window: null, progress: { fraction: 0.3, loss: null, text: "step 3" }, server_time_ns: 5_000_000_000 }), 1040, 7000);
-  assert.deepEqual([session.status.fraction, session.status.stage], [0.3, "step 3"]);
+  assert.deepEqual([session.status.fraction, session.status.stage, session.status.trouble], [0.3, "step 3", ""]);
+  session.control(event("state", { state: "starting", detail: "a and b are exchanged" }));
+  assert.equal(session.status.trouble, "a and b are exchanged", "and no picture of it is what was filmed");
   assert.equal(session.status.clockMs, 5000 - 6980, "the server wrote it in the middle of the round trip");
 });
 
@@ -487,6 +489,7 @@ test("every phase has words, and none stands in the way of a picture without nee
   const window = { oldest: { epoch: 1, version: 0 }, newest: { epoch: 1, version: 9 } };
   assert.equal(words({ ...status, phase: "ended", window }, false, 0).card.title, "Loading", "an end is told after the last picture");
   assert.equal(words({ ...status, phase: "live", trouble: "camera cam01 is lost" }, true, 0).chip, "Live, but camera cam01 is lost");
+  assert.equal(words({ ...status, phase: "preview", fraction: 0.42, trouble: "a and b are exchanged" }, true, 0).chip, "Preview, trained to 42 %, but a and b are exchanged");
   assert.ok(words({ ...status, phase: "live", trouble: "x".repeat(500) }, true, 0).chip.length < 80);
   assert.equal(words({ ...status, phase: "behind", lagSeconds: 449.4 }, true, 0).chip, "7:29 behind live");
   assert.equal(clock(123.16), "2:03.1");

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from streamlod.core.arrays import UInt8
+from streamlod.core.calibration.checks.matches import matched
 from streamlod.core.data.lens import undistortions
 from streamlod.server.ingest.live import open_live
 from streamlod.server.ingest.poses import PoseWatch
@@ -22,7 +23,7 @@ from tests.server.ingest.executors import AtOnce
 
 RIG = room.cameras(4)
 FILMED = room.frames(RIG, 1)[0].images
-EXCHANGED = "cam_1 and cam_2 are exchanged: each shows what the other's pose sees; swap their names"
+EXCHANGED = "cam_1 and cam_2 are exchanged: swap their names, as each shows what the other's pose sees"
 ALL = np.ones(4, np.bool_)
 
 
@@ -31,12 +32,12 @@ def _exchanged(first: int, second: int) -> UInt8:
     return FILMED[[order.get(number, number) for number in range(4)]]
 
 
-def _definition(folder: Path, images: UInt8) -> dict[str, Any]:
-    """A rig of files that show these pictures for some frames."""
+def _definition(folder: Path, shown: Sequence[UInt8], fps: int = 30, *, realtime: bool = False) -> dict[str, Any]:
+    """A rig of files that show these pictures, one set a frame."""
     cameras = []
-    for camera, image in zip(RIG, images, strict=True):
+    for number, camera in enumerate(RIG):
         file = folder / f"{camera.name}.mp4"
-        write_video(file, [image] * 6, options={"crf": "16"})
+        write_video(file, [images[number] for images in shown], fps=fps, options={"crf": "16"})
         cameras.append(
             {
                 "name": camera.name,
@@ -47,11 +48,11 @@ def _definition(folder: Path, images: UInt8) -> dict[str, Any]:
                 "world_to_camera": camera.world_to_camera.tolist(),
             }
         )
-    return {"fps": 30, "realtime": False, "depth_bounds": [0.5, 12], "cameras": cameras}
+    return {"fps": fps, "realtime": realtime, "depth_bounds": [0.5, 12], "cameras": cameras}
 
 
 def test_names_exchanged_are_told_while_the_first_frame_trains(tmp_path: Path) -> None:
-    dataset = open_live(_definition(tmp_path, _exchanged(1, 2)))
+    dataset = open_live(_definition(tmp_path, [_exchanged(1, 2)] * 6))
     with closing(dataset.frames()) as frames:
         next(frames)  # and no more, as while a first frame trains
         limit = time.monotonic() + 30
@@ -60,6 +61,29 @@ def test_names_exchanged_are_told_while_the_first_frame_trains(tmp_path: Path) -
             time.sleep(0.02)
         assert told is not None
         assert told.poses == (EXCHANGED,)
+
+
+def test_no_scene_is_trained_of_names_exchanged_that_are_swapped_within_a_minute(tmp_path: Path) -> None:
+    shown = [_exchanged(1, 2)] * 10 + [FILMED] * 150
+    dataset = open_live(_definition(tmp_path, shown, 5, realtime=True))
+    with closing(dataset.frames()) as frames:
+        first = next(frames)
+        told = dataset.statistics()
+    assert told is not None
+    assert (first.index, told.delivered, told.poses) == (0, 1, ())
+    assert told.dropped_stale > 0
+    nearer = [np.abs(first.images.astype(int) - images.astype(int)).mean() for images in (FILMED, shown[0])]
+    assert nearer[0] < nearer[1] / 4, "the first picture to train shows what the poses say"
+
+
+def test_poses_that_nobody_puts_right_are_trained_with_after_a_minute() -> None:
+    watched = _Watched()
+    for now in (0.0, 30.0, 59.9):
+        watched.now = now
+        assert watched.watch.is_to_be_put_right(_exchanged(1, 2), ALL, AtOnce())
+    watched.now = 60.0
+    assert not watched.watch.is_to_be_put_right(_exchanged(1, 2), ALL, AtOnce())
+    assert watched.told == [(EXCHANGED,)] * 3
 
 
 class _Watched:
@@ -107,6 +131,28 @@ def test_looking_takes_a_hundredth_of_the_time(monkeypatch: pytest.MonkeyPatch) 
         watched.look(FILMED)
         watched.now += 1 / 3
     assert len(watched.told) == 12  # ten minutes of 50 seconds between looks, and the first one
+
+
+def test_what_is_wrong_is_looked_at_more_often_so_that_who_mends_it_soon_knows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    watched = _Watched()
+
+    def slow(images: list[UInt8]) -> Any:
+        watched.now += 2.0
+        return matched(images)
+
+    monkeypatch.setattr("streamlod.server.ingest.poses.matched", slow)
+    watched.look(_exchanged(1, 2))
+    watched.now += 19
+    watched.look(FILMED)
+    assert watched.told == [(EXCHANGED,)]
+    watched.now += 1
+    watched.look(FILMED)
+    assert watched.told[1:] == [()]
+    watched.now += 197
+    watched.look(FILMED)
+    assert len(watched.told) == 2
 
 
 def test_a_look_that_breaks_takes_back_what_was_told(caplog: pytest.LogCaptureFixture) -> None:

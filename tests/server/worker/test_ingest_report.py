@@ -43,7 +43,7 @@ def test_a_silence_is_worth_a_word_after_five_seconds_and_a_fault_or_no_picture_
 
 
 def test_poses_that_do_not_hold_are_told_after_cameras_that_are_lost() -> None:
-    said = "cam2 and cam3 are exchanged: each shows what the other's pose sees; swap their names"
+    said = "cam2 and cam3 are exchanged: swap their names, as each shows what the other's pose sees"
     assert complaint({"cameras": {"cam2": _camera()}, "poses": [said]}) == said
     lost = {"cam1": _camera("lost", fault="Connection refused"), "cam2": _camera()}
     assert complaint({"cameras": lost, "poses": [said]}) == f"camera cam1 is lost (Connection refused); {said}"
