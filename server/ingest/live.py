@@ -186,7 +186,7 @@ class LiveDataset:
                 rig.note_shifts(knocks.shifts, knocked := knocks.knocked)
                 if (present & ~knocked).any():  # a knocked camera shows what is not where its pose says
                     present = present & ~knocked
-                poses.look(images, present, pool)
+                poses.look(images, present, pool, rig.claims())
                 yield FrameSet(index, time_ns, images, present, latency_ns)
                 index += 1
 

@@ -1,9 +1,10 @@
-"""Watches whether the poses of a rig hold for what its cameras film, in a hundredth of the time; a tenth if they do not.
+"""Watches whether the poses of a rig hold for what its cameras film, in a hundredth of the time.
 
 The first look is at the first instant, before anything is trained: who moved a camera after calibrating, or gave two
 phones each other's names, is told before the first picture, which waits up to a minute for it to be put right: what was
 trained with wrong poses takes minutes to come right. A look compares what two and three cameras share with their poses,
-as `streamlod check` does, in smaller pictures. Cameras that share too little with others are not judged.
+as `streamlod check` does, in smaller pictures. Cameras that share too little with others are not judged. Where poses do
+not hold, or another phone films as one of the cameras, looks take a tenth of the time.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from streamlod.core.data.lens import Undistortion
 from streamlod.server.ingest.watch import Watch
 
 _SHARE = 0.01  # of the time that looking may take
-_MENDED_SHARE = 0.1  # the same while poses do not hold, so that who mends it soon knows
+_URGENT_SHARE = 0.1  # the same while poses do not hold, so that who mends it soon knows, and after a change of hands
+_URGENT_SECONDS = 60.0  # after such a change
 _MENDING_SECONDS = 60.0  # that people have for it before the first picture
 _SIDE = 640  # pixels of the longer side of what is looked at; larger pictures take longer and tell little more
 
@@ -44,9 +46,11 @@ class PoseWatch:
         tell: Callable[[tuple[str, ...]], None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._plans, self._tell, self._clock, self._due = tuple(plans), tell, clock, -np.inf
+        self._plans, self._tell, self._clock = tuple(plans), tell, clock
         self._seen = np.zeros(len(self._plans), np.bool_)
         self._began: float | None = None
+        self._ended, self._took, self._urgent_until = -np.inf, 0.0, -np.inf
+        self._changes: Sequence[int] = ()
         self._holds = True
         self._watch = Watch("poses are no longer compared with the pictures", lambda: tell(()))
 
@@ -61,9 +65,17 @@ class PoseWatch:
         self._watch.begin(lambda: self._look(images, present), pool)
         return self._watch.finish() and not self._holds
 
-    def look(self, images: UInt8, present: Bool, pool: Executor) -> None:
-        """Look at the newest pictures [C,H,W,3] on a thread of `pool`, if it is time or a camera is seen first."""
-        if self._clock() >= self._due or (present & ~self._seen).any():
+    def look(self, images: UInt8, present: Bool, pool: Executor, changes: Sequence[int] = ()) -> None:
+        """Look at the newest pictures [C,H,W,3] on a thread of `pool`, if it is time or a camera is seen first.
+
+        Args:
+            changes: how often somebody else began to send the pictures, by camera.
+        """
+        now = self._clock()
+        if changes != self._changes:
+            self._changes, self._urgent_until = changes, now + _URGENT_SECONDS
+        share = _SHARE if self._holds and now > self._urgent_until else _URGENT_SHARE
+        if now >= self._ended + self._took / share or (present & ~self._seen).any():
             self._watch.begin(lambda: self._look(images, present), pool)
 
     def _look(self, images: UInt8, present: Bool) -> None:
@@ -75,7 +87,8 @@ class PoseWatch:
         self._holds = not faults
         self._tell(faults)
         self._seen |= present
-        self._due = self._clock() + (self._clock() - begin) / (_MENDED_SHARE if faults else _SHARE)
+        self._ended = self._clock()
+        self._took = self._ended - begin
 
 
 def _shared(images: UInt8) -> list[PairMatches]:

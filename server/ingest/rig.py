@@ -54,6 +54,7 @@ class _Last:
     put: int = 0
     newest_ns: int | None = None
     holder: object = None  # the capture node that pushes it
+    claims: int = 0  # how often a capture node began to push it
 
 
 class Rig:
@@ -245,6 +246,12 @@ class Rig:
         """See `intake.PushTarget`; if two nodes push one camera, the later one is used, as after a reconnection."""
         with self._change:
             self._last[camera].holder = holder
+            self._last[camera].claims += 1
+
+    def claims(self) -> tuple[int, ...]:
+        """How often a capture node began to push each camera."""
+        with self._change:
+            return tuple(last.claims for last in self._last.values())
 
     def holds(self, camera: str, holder: object) -> bool:
         """See `intake.PushTarget`."""

@@ -133,7 +133,7 @@ def test_looking_takes_a_hundredth_of_the_time(monkeypatch: pytest.MonkeyPatch) 
     assert len(watched.told) == 12  # ten minutes of 50 seconds between looks, and the first one
 
 
-def test_what_is_wrong_is_looked_at_more_often_so_that_who_mends_it_soon_knows(
+def test_looks_are_more_frequent_while_poses_do_not_hold_and_after_a_change_of_hands(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     watched = _Watched()
@@ -152,7 +152,9 @@ def test_what_is_wrong_is_looked_at_more_often_so_that_who_mends_it_soon_knows(
     assert watched.told[1:] == [()]
     watched.now += 197
     watched.look(FILMED)
-    assert len(watched.told) == 2
+    assert len(watched.told) == 2, "what holds is looked at seldom"
+    watched.watch.look(_exchanged(1, 2), ALL, AtOnce(), (1, 2, 2, 1))
+    assert watched.told[2:] == [(EXCHANGED,)], "other phones film as these cameras"
 
 
 def test_a_look_that_breaks_takes_back_what_was_told(caplog: pytest.LogCaptureFixture) -> None:
