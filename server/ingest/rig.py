@@ -7,6 +7,7 @@ below one period plus the synchroniser's deadline.
 from __future__ import annotations
 
 import logging
+import re
 import threading
 import time
 from collections import deque
@@ -224,6 +225,17 @@ class Rig:
     def sight(self, camera: str) -> BoardSight | None:
         """See `intake.PushTarget`; a rig that trains looks for no board."""
         return None
+
+    def complaint(self, camera: str) -> str:
+        """See `intake.PushTarget`."""
+        with self._change:
+            if self._last[camera].knocked:
+                return "it was knocked: put it back as it stood, or calibrate again"
+            named = {
+                fault: {name for name in self._names if re.search(rf"\b{re.escape(name)}\b", fault)}
+                for fault in self._pose_faults
+            }
+        return next((fault for fault, names in named.items() if not names or camera in names), "")
 
     def put_sound(self, frame: av.AudioFrame, capture_ns: int) -> None:
         """See `intake.PushTarget`."""

@@ -11,7 +11,7 @@ const SILENCE_MS = 15_000; // of the server, after which a connection counts as 
 /** Close codes after which another attempt cannot help. */
 const FINAL = new Set([1008, 1009, 4400, 4401, 4403, 4404, 4415]);
 
-/** @typedef {{ name: string, width: number, height: number, taken: boolean, sound?: boolean, board?: { seen: boolean, needs: string } }} WantedCamera */
+/** @typedef {{ name: string, width: number, height: number, taken: boolean, sound?: boolean, complaint?: string, board?: { seen: boolean, needs: string } }} WantedCamera */
 /** @typedef {"jpeg" | "h264" | "opus" | "pcm"} Codec */
 const SOUND = new Set(["opus", "pcm"]);
 

@@ -8,6 +8,7 @@ import { button, element, keepInAddress } from "./page.js";
 
 const MAX_REFUSALS = 10; // of pictures one after the other, then filming ends
 const MAX_NEED = 40; // letters of the server's word about the board
+const MAX_COMPLAINT = 300; // letters of the same about its place or name
 const FIGURES_MS = 1000;
 const STALLED_MS = 3000;
 const RACE_MS = 10_000; // since filming began, within which a lost name was one that two phones were offered at once
@@ -39,10 +40,12 @@ function openLink() {
   return new PushLink(address.href, options.get("token"), () => {
     fillNames();
     if (filming && link.refusals >= MAX_REFUSALS) {
-      const why = `The server refuses ${filming.name}: it ${link.refusal}. Press Film again.`;
-      chosen = null; // a free name is offered
-      stop(why);
-      if (performance.now() - offeredAt < RACE_MS && link.cameras.some(({ taken }) => !taken)) start();
+      const { name } = filming, isAnothers = link.refusal.includes("another phone");
+      const isRace = performance.now() - offeredAt < RACE_MS;
+      if (isRace) chosen = null; // else the name stays: with another one, its pictures would count as filmed from another place
+      const way = isAnothers ? `If this is ${name}, press Stop there and Film here; else choose another name.` : "Press Film again.";
+      stop(`The server refuses ${name}: it ${link.refusal}. ${way}`);
+      if (isRace && link.cameras.some(({ taken }) => !taken)) start();
     }
     tell();
   });
@@ -138,6 +141,8 @@ function state() {
   if (!filming) return ["good", `Ready to film for stream ${stream}.`];
   if (filming.turned) return ["bad", "Turn the phone: the stream wants the other side up."];
   if (performance.now() - filming.newest > STALLED_MS) return ["bad", "The camera gives no pictures: keep this page in front."];
+  const complaint = String(link.cameras.find(({ name }) => name === filming?.name)?.complaint ?? "").slice(0, MAX_COMPLAINT);
+  if (complaint) return ["bad", `Filming as ${filming.name}, but ${complaint}.`];
   return ["live", `Filming as ${filming.name}.`];
 }
 
@@ -181,15 +186,16 @@ function tell() {
   shown = lines.join();
 }
 
-/** @type {{ at: number, filmed: number, sent: number, bytes: number, dropped: number } | null} */
+/** @type {{ of: Filming | null, at: number, filmed: number, sent: number, bytes: number, dropped: number } | null} */
 let before = null;
 
 function showFigures() {
   if (link.state === "open") link.ask({ type: "cameras" }); // others may have begun to film, or the board to be walked
   const dropped = (filming?.dropped ?? 0) + link.counts.dropped;
-  const now = { at: performance.now(), filmed: filming?.filmed ?? 0, sent: filming?.sent ?? 0, bytes: link.counts.bytes, dropped };
-  const seconds = before ? (now.at - before.at) / 1000 : 0;
-  for (const name of /** @type {const} */ (["filmed", "sent", "bytes", "dropped"])) rates[name] = before && filming ? Math.max(0, now[name] - before[name]) / seconds : 0;
+  const now = { of: filming, at: performance.now(), filmed: filming?.filmed ?? 0, sent: filming?.sent ?? 0, bytes: link.counts.bytes, dropped };
+  const since = filming && before?.of === filming ? before : null; // one that has just begun has no rate yet
+  const seconds = since ? (now.at - since.at) / 1000 : 0;
+  for (const name of /** @type {const} */ (["filmed", "sent", "bytes", "dropped"])) rates[name] = since ? Math.max(0, now[name] - since[name]) / seconds : 0;
   before = now;
   element("figures").hidden = !filming;
   const { clock, counts } = link, known = clock.count > 0;

@@ -57,6 +57,9 @@ class PushTarget(Protocol):
     def sight(self, camera: str) -> BoardSight | None:
         """The camera's sight of the board, if one is looked for."""
 
+    def complaint(self, camera: str) -> str:
+        """What is wrong with where the camera stands or what it is called, for who films; empty where nothing is."""
+
     def put_sound(self, frame: av.AudioFrame, capture_ns: int) -> None:
         """Sound of that camera has come, recorded from `capture_ns` on."""
 
@@ -130,11 +133,13 @@ class Intake:
             self._target.put_sound(frame, capture_ns)
 
     def wanted(self) -> dict[str, Any]:
-        """The rig's rate as `fps`, and `cameras` that are pushed: name, width, height, whether one is `taken`, and
-        whether its `sound` is wanted, and while a board's walk is recorded what it sees of the `board`."""
+        """The rig's rate as `fps`, and `cameras` that are pushed: name, width, height, whether one is `taken`,
+        whether its `sound` is wanted, a `complaint` of its place or name if there is one, and while a board's walk is
+        recorded what it sees of the `board`."""
         target = self._target
         cameras = [
             {"name": name, "width": width, "height": height, "taken": target.is_held(name), "sound": target.hears(name)}
+            | ({"complaint": said} if (said := target.complaint(name)) else {})
             | ({} if (sight := target.sight(name)) is None else {"board": asdict(sight)})
             for name, (width, height) in target.pushed.items()
         ]

@@ -21,6 +21,7 @@ from streamlod.codec.sound.packets import write_packets
 from streamlod.core.calibration.walk import open_walk
 from streamlod.server.auth.gate import hash_token
 from streamlod.server.cli.rig import find, watch
+from streamlod.server.ingest.poses import PoseWatch
 from streamlod.server.settings import Settings, load_settings
 from tests.client.web.conftest import TEST_FLAGS, Console, chromium_path
 from tests.client.web.test_accessible import AXE, RULES
@@ -248,7 +249,7 @@ def test_who_takes_a_name_that_is_in_use_gets_it_and_the_other_is_told(phone: An
             two.wait_for_function("document.querySelector('#name option')?.textContent === 'phone1 (in use)'")
             two.click("#film")
             says(two, "Filming as phone1")
-            says(one, "The server refuses phone1: it is sent by another phone or capture node now. Press Film again.")
+            says(one, "The server refuses phone1: it is sent by another phone or capture node now. If this is phone1, ")
             found.wait(5)
             two.click("#film")
             says(two, "Ready to film")
@@ -257,6 +258,58 @@ def test_who_takes_a_name_that_is_in_use_gets_it_and_the_other_is_told(phone: An
             says(one, "Filming as phone1")
             found.wait(20)
             says(one, "Filming as phone1")
+
+
+def test_a_phone_whose_name_was_taken_keeps_it_rather_than_film_as_a_camera_elsewhere(phone: Any) -> None:
+    """A name stands for a place: pressed once more, Film is not to send this phone's pictures as the other's."""
+    with (
+        stage(Settings(), rig((WIDTH, HEIGHT), 2)) as found,
+        opened(phone, found.page("&camera=phone1")) as one,
+        opened(phone, found.page("&camera=phone1")) as two,
+    ):
+        for page in (one, two):
+            says(page, "Ready to film")
+            page.click("#film")
+            says(page, "Filming as phone1")
+            found.wait(2)
+        says(one, "If this is phone1, press Stop there and Film here; else choose another name.")
+        assert one.input_value("#name") == "phone1"
+        assert one.eval_on_selector("#name", "(list) => list.selectedOptions[0].text") == "phone1 (in use)"
+
+
+def test_a_phone_tells_who_holds_it_what_is_wrong_with_its_place_or_name(
+    phone: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(PoseWatch, "look", lambda *_: None)  # it finds nothing in Chromium's pictures
+    with stage(Settings(), rig((WIDTH, HEIGHT), 12)) as found, opened(phone, found.page("&camera=phone1")) as page:
+        says(page, "Ready to film")
+        page.click("#film")
+        says(page, "Filming as phone1.")
+        found.wait(1)
+        assert found.dataset.rig is not None
+        for faults, sentence in (
+            (("phone11 and phone12 are exchanged",), "Filming as phone1."),
+            (("phone2 was knocked", "phone1 and phone4 are exchanged"), "but phone1 and phone4 are exchanged."),
+            (("no camera's pose holds",), "Filming as phone1, but no camera's pose holds."),
+            ((), "Filming as phone1."),
+        ):
+            found.dataset.rig.note_poses(faults)
+            says(page, sentence)
+
+
+def test_a_phone_that_has_just_begun_is_not_called_slow(phone: Any) -> None:
+    """Its first second begins before it films."""
+    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(phone, "about:blank") as page:
+        page.add_init_script("window.ticks = []; window.setInterval = (act) => ticks.push(act);")
+        page.goto(found.page())
+        says(page, "Ready to film")
+        page.evaluate("() => ticks.forEach((act) => act())")
+        page.wait_for_timeout(1000)
+        page.click("#film")
+        says(page, "Filming as phone1")
+        found.wait(1)
+        page.evaluate("() => ticks.forEach((act) => act())")
+        assert "pictures" not in page.text_content("#notes")
 
 
 SLOW_ENCODER = """
