@@ -58,7 +58,7 @@ class PushTarget(Protocol):
         """The camera's sight of the board, if one is looked for."""
 
     def complaint(self, camera: str) -> str:
-        """What is wrong with where the camera stands or what it is called, for who films; empty where nothing is."""
+        """A sentence for who films, where the camera stands wrong or has a wrong name; else empty."""
 
     def put_sound(self, frame: av.AudioFrame, capture_ns: int) -> None:
         """Sound of that camera has come, recorded from `capture_ns` on."""
