@@ -177,7 +177,7 @@ function tell() {
   document.body.dataset.tone = tone;
   element("status-text").textContent = text;
   button("film").textContent = filming ? "Stop" : "Film";
-  button("film").disabled = link.state === "ended" && !filming;
+  button("film").disabled = !filming && (link.state === "ended" || !link.cameras.length); // as what it is to film is not known
   names.disabled = filming !== null;
   hold.hidden = !filming;
   tellBoard();

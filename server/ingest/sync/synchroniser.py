@@ -97,7 +97,7 @@ class Synchroniser:
 
     A jitter buffer: an instant is given out, in order, as soon as every camera that delivers has sent its picture or a
     later one, at the latest `deadline_ns` after its first picture; with less than `quorum` pictures, it is dropped. The
-    first one, of which a scene is trained, has those of all cameras, unless they cannot be had in `gather_ns`. A
+    first one, of which a scene is trained, has those of all cameras, unless in `gather_ns` they cannot be had. A
     picture goes into the nearest instant or nowhere. Memory is bounded: a picture is accepted at most a second ahead,
     and instants close at their deadline.
 
@@ -107,7 +107,8 @@ class Synchroniser:
         quorum: pictures that an instant needs; all by default.
         deadline_ns: two periods by default; up to eight times that where a camera's pictures usually come so late.
         lost_ns: silence after which a camera isn't waited for any more.
-        gather_ns: how long to wait at first for all cameras to deliver, and for an instant with all their pictures.
+        gather_ns: how long to wait at first for one camera more, and for an instant with the pictures of all: phones
+            begin to film one after the other.
     """
 
     def __init__(
@@ -130,7 +131,7 @@ class Synchroniser:
         self._deadline_ns = round(2 * self._period) if deadline_ns is None else deadline_ns
         self._lost_ns, self._gather_ns = lost_ns, gather_ns
         self._grid: Grid | None = None
-        self._began_ns: int | None = None
+        self._began_ns: int | None = None  # when the newest of the first cameras came
         self._has_given = False
         self._open: dict[int, _Open] = {}
         self._closed, self._closed_ns = -1, 0
@@ -180,7 +181,7 @@ class Synchroniser:
         track.arrived_ns = now_ns
         track.delay_ns = now_ns - picture.capture_ns
         if self._grid is None:
-            self._began_ns = now_ns if self._began_ns is None else self._began_ns
+            self._began_ns = now_ns if self._began_ns is None or not track.held else self._began_ns
             track.held.append(picture)
             return self._begin(now_ns)
         if self._is_stray(track, now_ns):

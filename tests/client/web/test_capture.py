@@ -238,6 +238,19 @@ def test_filming_goes_on_after_the_stream_was_away(phone: Any) -> None:
             assert figure(page, "Refused") == "0"
 
 
+def test_a_phone_films_under_a_name_also_where_its_page_was_opened_before_the_stream(phone: Any) -> None:
+    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found:
+        found.dataset.close()
+        with opened(phone, found.page()) as page:
+            says(page, "Trying again: the stream takes no pictures at present")
+            assert page.is_disabled("#film"), "it would film as nobody"
+            with found.filming():
+                says(page, "Ready to film")
+                page.click("#film")
+                says(page, "Filming as phone1")
+                found.wait(2)
+
+
 def test_who_takes_a_name_that_is_in_use_gets_it_and_the_other_is_told(phone: Any) -> None:
     """Also of the camera whose sound is wanted; who lost it can take it back once it is free."""
     with stage(Settings(), rig((WIDTH, HEIGHT), 1, sound="phone1")) as found, opened(phone, found.page()) as one:

@@ -234,6 +234,14 @@ def test_begins_without_a_camera_that_never_comes() -> None:
     assert synchroniser.is_degraded(now)
 
 
+def test_the_first_instant_waits_for_the_next_camera_not_since_the_first_one() -> None:
+    """As of phones on which one person presses Film, one after the other; then for pictures of all of them."""
+    begins = {"c0": 0, "c1": 25 * PERIOD, "c2": 50 * PERIOD, "c3": 75 * PERIOD}
+    arrivals = [entry for entry in filmed(4, 120) if entry[2] - UTC >= begins[entry[1]]]
+    _, instants, _ = Film(NAMES, arrivals).run(quorum=2, gather_ns=30 * PERIOD)
+    assert None not in instants[0].pictures
+
+
 def test_a_camera_that_left_is_not_waited_for() -> None:
     synchroniser = Synchroniser(("c0", "c1"), 30, quorum=1, deadline_ns=HOUR)
     synchroniser.push(picture("c0", UTC), 0)
