@@ -27,6 +27,7 @@ let microphone = null;
 let silence = ""; // why there is no sound, where it is wanted
 let trouble = ""; // why filming ended
 let chosen = options.get("camera"); // name of the camera that this is to be
+let isInterrupted = false; // the camera was taken away while the page was hidden, as where the screen was locked
 let offeredAt = -Infinity; // when it began to film under a name that nobody had chosen
 const link = openLink();
 
@@ -59,12 +60,31 @@ function fillNames() {
     names.replaceChildren(...link.cameras.map(({ name }, row) => new Option(texts[row], name)));
     names.value = before;
   }
-  const mine = link.cameras.find(({ name }) => name === (filming?.name ?? chosen)) ?? link.cameras.find(({ taken }) => !taken);
+  const isFree = (/** @type {{ taken: boolean }} */ { taken }) => !taken, had = link.cameras.find(({ name }) => name === formerName());
+  const mine = link.cameras.find(({ name }) => name === (filming?.name ?? chosen)) ?? [had, ...link.cameras].find((one) => one && isFree(one)) ?? had;
   names.value = mine?.name ?? link.cameras[0]?.name ?? "";
+}
+
+/** The name under which this device filmed for the stream before its page was closed; it stands where that one stood. */
+function formerName() {
+  try {
+    return localStorage.getItem(`camera of ${stream}`);
+  } catch {
+    return null; // the browser keeps nothing
+  }
+}
+
+/** Remember the name that this device has. @param {string} name */
+function keepName(name) {
+  keepInAddress("camera", (chosen = name));
+  try {
+    localStorage.setItem(`camera of ${stream}`, name);
+  } catch {} // as above
 }
 
 async function start() {
   trouble = "";
+  isInterrupted = false;
   end(); // many phones open one camera at a time
   try {
     const wanted = link.cameras.find(({ name }) => name === names.value), size = wanted ?? FULL_SIZE;
@@ -78,8 +98,11 @@ async function start() {
     offeredAt = chosen === null ? performance.now() : -Infinity;
     filming = new Filming(link, video, media, names.value, options.get("codec") === "jpeg", tell);
     if (link.cameras.find(({ name }) => name === names.value)?.sound) listen(media, names.value);
-    filming.track.onended = () => stop("The camera was taken away by another program.");
-    keepInAddress("camera", (chosen = filming.name));
+    filming.track.onended = () => {
+      stop("The camera was taken away by another program.");
+      isInterrupted = document.hidden;
+    };
+    keepName(filming.name);
     await fillDevices(filming.track.getSettings().deviceId ?? "");
   } catch (error) {
     stop(refusalOf(error));
@@ -89,7 +112,7 @@ async function start() {
 
 /** Send the sound of `media`, too. @param {MediaStream} media @param {string} name */
 function listen(media, name) {
-  silence = media.getAudioTracks().length ? "" : "No sound is sent: the browser may not use the microphone, or there is none.";
+  silence = media.getAudioTracks().length ? "" : "No sound is sent: there is no microphone, or the page may not use it. Allow it in the page's settings, beside its address, then press Stop and Film.";
   if (silence) return;
   microphone = new Microphone(media, options.get("sound") === "pcm", (takenMs, codec, sound) => link.hasRoom && link.send(name, takenMs, codec, sound));
   microphone.ready.catch(() => {
@@ -238,7 +261,13 @@ if (!window.isSecureContext || !navigator.mediaDevices) {
     hold.ariaPressed = String(hold.ariaPressed !== "true");
     filming?.hold(hold.ariaPressed === "true");
   });
-  document.addEventListener("visibilitychange", () => document.hidden || filming?.stayAwake());
+  document.addEventListener("visibilitychange", () => {
+    if (document.hidden) return;
+    if (isInterrupted) start();
+    if (!filming) return;
+    filming.stayAwake();
+    video.play().catch(() => {}); // some browsers pause it while the page is hidden
+  });
   setInterval(showFigures, FIGURES_MS);
   fillDevices("").catch(() => {});
   tell();

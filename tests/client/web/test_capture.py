@@ -182,7 +182,7 @@ def test_a_phone_without_a_microphone_films_on(phone: Any) -> None:
         says(page, "Ready to film")
         page.click("#film")
         says(page, "Filming as phone1")
-        page.get_by_text("No sound is sent").wait_for()
+        page.get_by_text("No sound is sent: there is no microphone, or the page may not use it. Allow it in").wait_for()
         assert len(found.wait(5)) == 5
 
 
@@ -387,6 +387,76 @@ def test_a_page_that_is_loaded_again_is_the_same_camera(phone: Any) -> None:
         assert page.eval_on_selector("#device", "(list) => list.selectedOptions[0]?.text") == "rear camera"
         page.click("#film")
         says(page, "Filming as phone2")
+
+
+def test_a_phone_whose_page_is_opened_anew_is_offered_the_name_that_it_had(phone: Any) -> None:
+    """As after its battery was empty: the QR code holds no name, and the first free one may be another phone's."""
+    with stage(Settings(), rig((WIDTH, HEIGHT), 3)) as found, opened(phone, found.page()) as page:
+        says(page, "Ready to film")
+        page.select_option("#name", "phone2")
+        page.click("#film")
+        says(page, "Filming as phone2")
+        found.wait(2)
+        page.goto(found.page())
+        says(page, "Ready to film")
+        page.wait_for_function("document.getElementById('name').value === 'phone2'")
+        with opened(phone, found.page()) as other:
+            says(other, "Ready to film")
+            assert other.input_value("#name") == "phone1"
+
+
+HIDDEN = """(hidden) => {
+  Object.defineProperty(document, "hidden", { value: hidden, configurable: true });
+  document.dispatchEvent(new Event("visibilitychange"));
+}"""
+
+
+def test_filming_goes_on_by_itself_after_the_screen_was_locked(phone: Any) -> None:
+    """Browsers pause the picture or take the camera away; who takes it while the page is seen keeps it."""
+    with filmed(phone, 3) as (found, page):
+        page.evaluate(HIDDEN, True)
+        page.evaluate("document.getElementById('picture').pause()")
+        says(page, "The camera gives no pictures")
+        page.evaluate(HIDDEN, False)
+        says(page, "Filming as phone1")
+        found.wait(3)
+        end = "document.getElementById('picture').srcObject.getTracks()[0].dispatchEvent(new Event('ended'))"
+        page.evaluate(HIDDEN, True)
+        page.evaluate(end)
+        says(page, "The camera was taken away")
+        page.evaluate(HIDDEN, False)
+        says(page, "Filming as phone1")
+        found.wait(3)
+        page.evaluate(end)
+        says(page, "The camera was taken away")
+        page.evaluate(HIDDEN, True)
+        page.evaluate(HIDDEN, False)
+        says(page, "The camera was taken away")
+
+
+TURNED = """
+const canvas = document.createElement("canvas"), pen = canvas.getContext("2d");
+window.turn = (width, height) => Object.assign(canvas, { width, height });
+setInterval(() => { pen.fillStyle = `rgb(0 ${Date.now() % 200} 0)`; pen.fillRect(0, 0, 999, 999); }, 40);
+navigator.mediaDevices.getUserMedia = async () => canvas.captureStream(25);
+"""
+
+
+def test_a_phone_that_is_turned_while_it_films_goes_on_when_it_is_turned_back(phone: Any) -> None:
+    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(phone, "about:blank") as page:
+        page.add_init_script(TURNED)
+        page.goto(found.page())
+        page.evaluate(f"turn({WIDTH}, {HEIGHT})")
+        says(page, "Ready to film")
+        page.click("#film")
+        says(page, "Filming as phone1")
+        found.wait(3)
+        page.evaluate(f"turn({HEIGHT}, {WIDTH})")
+        says(page, "Turn the phone")
+        page.evaluate(f"turn({WIDTH}, {HEIGHT})")
+        says(page, "Filming as phone1")
+        found.wait(3)
+        assert figure(page, "Refused") == "0"
 
 
 def test_a_camera_that_gives_nothing_any_more_is_told_of(phone: Any) -> None:
