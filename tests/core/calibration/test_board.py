@@ -70,11 +70,21 @@ def test_a_camera_that_hardly_sees_the_board_is_not_said_to_see_another_one(pict
         track_of(footage_of("a", [picture, picture, *[empty] * 6]), BOARD)
 
 
-@pytest.mark.parametrize(("board", "metres"), [(BOARD, 2.0), (Board(4, 3), 1.5)])
-def test_a_board_too_far_away_is_not_taken_for_another_one(board: Board, metres: float) -> None:
-    shot = filmed(rays_of(LENS, SIZE), np.array([*POSE[:5], metres]), SIZE, board)
-    with pytest.raises(InputError, match=r"camera a: at most 3 of the board's markers are read .*; hold it nearer"):
-        track_of(footage_of("a", [shot] * 5), board)
+@pytest.mark.parametrize("metres", [1.6, 2.2])  # squares of 17 and 12 pixels
+def test_corners_of_a_board_far_away_are_found_as_exactly(metres: float) -> None:
+    pose = np.array([*POSE[:5], metres])
+    found = Detector(BOARD)(filmed(rays_of(LENS, SIZE), pose, SIZE, BOARD))
+    truth = projected(LENS, BOARD.corners @ rotations(pose[:3])[0].T + pose[3:])[0]
+    assert found.count == BOARD.corner_count
+    assert np.sqrt(((found.corners - truth) ** 2).sum(axis=1).mean()) < 0.2
+
+
+def test_a_board_of_which_one_edge_is_seen_is_not_taken_for_another_one(picture: UInt8) -> None:
+    corners = projected(LENS, BOARD.corners @ rotations(POSE[:3])[0].T + POSE[3:])[0]
+    edge = picture.copy()
+    edge[:, round(corners[:, 0].min()) + 20 :] = 110  # little more than the first column of squares is left
+    with pytest.raises(InputError, match=r"camera a: at most 2 of the board's markers are read .*; hold it nearer"):
+        track_of(footage_of("a", [edge] * 5), BOARD)
 
 
 def test_a_board_with_too_few_corners_is_refused_before_it_is_printed() -> None:

@@ -198,9 +198,10 @@ def beat_for_ever(_: StreamSpec, pipe: Connection, *__: object) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.long
 def test_a_worker_is_not_to_blame_for_a_time_in_which_the_server_stood_still_as_well() -> None:
     async def run() -> tuple[int | None, int | None, Reports]:
-        owner, watched = Reports(), WorkerSettings(heartbeat_seconds=2.5, stall_seconds=2.5)
+        owner, watched = Reports(), WorkerSettings(heartbeat_seconds=8, stall_seconds=8)
         supervisor = Supervisor(StreamSpec(play=Path("none.slod")), watched, 1000, owner, entry=beat_for_ever)
         running = asyncio.create_task(supervisor.run())
         while not owner.tags:
@@ -208,7 +209,7 @@ def test_a_worker_is_not_to_blame_for_a_time_in_which_the_server_stood_still_as_
         before = supervisor.pid
         assert before is not None
         os.kill(before, signal.SIGSTOP)
-        time.sleep(5)  # of this program, too
+        time.sleep(12)  # of this program, too
         os.kill(before, signal.SIGCONT)
         await asyncio.sleep(1)
         after = supervisor.pid
