@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _WEAK_PIXELS = 1.0  # root mean square from which pictures or lens should be looked at
 _WEAK_DEGREES = 0.3  # standard error of a direction, mostly that of the lens's centre
 _WEAK_SECONDS = 0.005  # standard deviation of a camera's times
+_SLOW_READOUT = 0.01  # seconds from which what people do is seen to be slanted
 _WEAK_SEEN = 0.35  # part of a picture's cells that the board should have been in
 _ACROSS, _DOWN = 6, 4
 
@@ -70,6 +71,12 @@ def advice_of(calibration: Calibration) -> Iterator[str]:
             f"{spoken(calibration.cameras[number].name for number in uneven)}: pictures were taken up to "
             f"{1000 * max(uneven.values()):.0f} ms earlier or later than their times say, which the calibration allows "
             "for: end other programs, or film at a constant rate"
+        )
+    read = np.abs(calibration.readouts).max(axis=1)
+    if slow := [number for number, seconds in enumerate(read) if seconds > _SLOW_READOUT]:
+        yield (
+            f"{spoken(calibration.cameras[number].name for number in slow)}: a picture is read line by line in up to "
+            f"{1000 * read.max():.0f} ms, which the calibration allows for; what moves fast is slanted in it"
         )
     if calibration.floor_by_board:
         yield "the floor is where the board lay: z = 0 there, z up, metres"

@@ -37,6 +37,7 @@ class Calibration:
         cameras: with distortion, world to camera in metres, z up.
         root: number of the camera whose clock is the common one.
         offsets: [C] seconds to add to each camera's clock to get the root's.
+        readouts: [C,2] seconds that each camera takes to read a picture from left to right, and from top to bottom.
         periods: [C] seconds between each camera's pictures.
         errors: [C,2] standard errors of directions in degrees and of places in metres, in the rig as a whole.
         uneven: [C] seconds by which each camera's times are off, a standard deviation.
@@ -49,6 +50,7 @@ class Calibration:
     cameras: tuple[Camera, ...]
     root: int
     offsets: Float64
+    readouts: Float64
     periods: Float64
     errors: Float64
     uneven: Float64
@@ -90,7 +92,7 @@ def calibrate(tracks: Sequence[Track], board: Board, known: Mapping[str, Float64
     check_still(names, first.views)
     placed = np.isfinite(first.boards[:, 0])
     times = times[placed]
-    scene = AdjustedRig(lenses, first.cameras, offsets, first.boards[placed])
+    scene = AdjustedRig(lenses, first.cameras, offsets, np.zeros((len(tracks), 2)), first.boards[placed])
     found, corners, uneven = _adjusted(tracks, times, scene, board, first.root, fixed)
     check_certainty(names, found, corners)
     return _calibration(tracks, board, times, found, corners, uneven, first.root)
@@ -138,5 +140,6 @@ def _calibration(
     offsets = scene.offsets - scene.offsets[root]
     by_board = floor.by_board
     return Calibration(
-        tuple(cameras), root, offsets, periods, errors, uneven.seconds, by_board, times, boards, corners, found.misses
-    )  # fmt: skip
+        *(tuple(cameras), root, offsets, scene.readouts, periods, errors, uneven.seconds, by_board, times, boards),
+        *(corners, found.misses),
+    )

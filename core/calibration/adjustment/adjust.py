@@ -1,8 +1,9 @@
-"""Bundle adjustment: lenses, camera poses, time offsets and board poses that explain all corners best.
+"""Bundle adjustment: lenses, poses, time offsets, rolling shutters and board poses that explain all corners best.
 
 The residual of a corner is its projection less the camera's curve of that corner at the instant, by the camera's own
-clock (Triggs et al., Bundle adjustment: a modern synthesis, 1999). Weak priors hold what the corners do not tell, so
-that a lens is not bent where the board never was.
+clock and by where in the picture the corner is, as most cameras read a picture line by line (Triggs et al., Bundle
+adjustment: a modern synthesis, 1999; Oth et al., Rolling shutter camera calibration, 2013). Weak priors hold what the
+corners do not tell, so that a lens is not bent where the board never was.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ from streamlod.core.calibration.adjustment.unfolded import unfolded_lenses
 _NOISE = 0.5  # pixels against which priors are weighed: corners of one picture err together, by blur and a bent board
 _ROBUST, _FARTHEST = 2.0, 1.0  # times the noise, and pixels at most, from which a corner counts less
 _ASPECT = 5e-4  # of the focal lengths' deviation: 0.5 % between that across and that down
-_PER_CAMERA = 16  # lens 9, pose 6, offset 1
+_READOUT = 0.02  # seconds, standard deviation of what a picture takes to be read; phones take 0.01 to 0.03
+_PER_CAMERA = 18  # lens 9, pose 6, offset 1, readouts 2
+_CLOCK, _READOUTS = 15, slice(16, 18)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,12 +37,15 @@ class AdjustedRig:
 
     Attributes:
         lenses: [C,9]. cameras: [C,6] world to camera. offsets: [C] seconds from a camera's clock to the common time.
+        readouts: [C,2] seconds from the capture of a picture's left edge to that of its right one, and from top to
+            bottom; its middle is captured at the picture's time.
         boards: [I,6] board to world.
     """
 
     lenses: Float64
     cameras: Float64
     offsets: Float64
+    readouts: Float64
     boards: Float64
 
 
@@ -83,7 +89,7 @@ def adjust(
     by_camera = free[: count * _PER_CAMERA].reshape(count, _PER_CAMERA)
     if lenses_known is not None:
         by_camera[lenses_known, :9] = False
-    by_camera[root, 9:] = False
+    by_camera[root, 9 : _CLOCK + 1] = False
     columns = np.flatnonzero(free)
     mean, deviation = _priors(sizes)
     first = count * _PER_CAMERA
@@ -98,7 +104,9 @@ def adjust(
         whole = full(values)
         held = (whole[: count * _PER_CAMERA].reshape(count, -1)[:, :9] - mean) / deviation * _NOISE
         aspect = (whole[:first:_PER_CAMERA] - whole[1:first:_PER_CAMERA]) / (deviation[:, 0] * _ASPECT) * _NOISE
-        parts = weights.of_misses(misses_of(_scene(whole, count), seen)), held, aspect, unfolded.misses(whole)
+        scene = _scene(whole, count)
+        read = scene.readouts / _READOUT * _NOISE
+        parts = weights.of_misses(misses_of(scene, seen)), held, aspect, read, unfolded.misses(whole)
         return np.concatenate([part.ravel() for part in parts])
 
     def slopes(values: Float64) -> csr_matrix:
@@ -111,7 +119,11 @@ def adjust(
         weight = _NOISE / (deviation[:, 0] * _ASPECT)
         rows, places = np.tile(np.arange(count), 2), np.concatenate([each, each + 1])
         aspect = csr_matrix((np.concatenate([weight, -weight]), (rows, places)), (count, len(start)))
-        return vstack([jacobian, held, aspect, unfolded.slopes(whole)]).tocsr()[:, columns]
+        places = (each[:, None] + np.arange(_PER_CAMERA)[_READOUTS]).ravel()
+        read = csr_matrix(
+            (np.full(2 * count, _NOISE / _READOUT), (np.arange(2 * count), places)), (2 * count, len(start))
+        )
+        return vstack([jacobian, held, aspect, read, unfolded.slopes(whole)]).tocsr()[:, columns]
 
     scale = np.full(len(residuals(start[columns])), np.inf)  # of priors and bounds
     scale[: 2 * len(seen.camera)] = min(_ROBUST * uneven.noise, _FARTHEST)
@@ -145,20 +157,31 @@ def _priors(sizes: Sequence[tuple[int, int]]) -> tuple[Float64, Float64]:
 
 
 def _flat(scene: AdjustedRig) -> Float64:
-    cameras = np.concatenate([scene.lenses, scene.cameras, scene.offsets[:, None]], axis=1)
+    cameras = np.concatenate([scene.lenses, scene.cameras, scene.offsets[:, None], scene.readouts], axis=1)
     return np.concatenate([cameras.ravel(), scene.boards.ravel()])
 
 
 def _scene(values: Float64, count: int) -> AdjustedRig:
     cameras = values[: count * _PER_CAMERA].reshape(count, _PER_CAMERA)
     boards = values[count * _PER_CAMERA :].reshape(-1, 6)
-    return AdjustedRig(cameras[:, :9], cameras[:, 9:15], cameras[:, 15], boards)
+    return AdjustedRig(cameras[:, :9], cameras[:, 9:15], cameras[:, _CLOCK], cameras[:, _READOUTS], boards)
 
 
 def _curve(scene: AdjustedRig, seen: Observations) -> tuple[Float64, Float64]:
-    """[N,2] corners by the cameras' curves, and their derivatives by the offsets."""
-    t = (seen.since - scene.offsets[seen.camera])[:, None]
-    return seen.value + t * (seen.slope + t * seen.bend), -(seen.slope + 2 * t * seen.bend)
+    """[N,2] corners by the cameras' curves, and [N,2,3] their derivatives by the offsets and readouts.
+
+    A curve counts time by pictures; the corner of one is captured as much later as it lies farther down, which moves it
+    on: what is wanted is the t of the curve with t + readout . (place at t) = time since the picture.
+    """
+    readouts = scene.readouts[seen.camera]
+    place = seen.value / seen.extent - 0.5
+    pace = 1 + (readouts * seen.slope / seen.extent).sum(axis=1)
+    t = ((seen.since - scene.offsets[seen.camera] - (readouts * place).sum(axis=1)) / pace)[:, None]
+    by_readout = place + t * seen.slope / seen.extent
+    by_time = -np.concatenate([np.ones_like(t), by_readout], axis=1) / pace[:, None]
+    return seen.value + t * (seen.slope + t * seen.bend), (seen.slope + 2 * t * seen.bend)[:, :, None] * by_time[
+        :, None
+    ]
 
 
 def misses_of(scene: AdjustedRig, seen: Observations) -> Float64:
@@ -182,9 +205,9 @@ def _jacobian(scene: AdjustedRig, seen: Observations, width: int) -> csr_matrix:
     camera_turn = -rigid.cross_matrices(by_camera) @ rigid.left_jacobians(scene.cameras[:, :3])[seen.camera]
     by_world = by_point @ rigid.rotations(scene.cameras[:, :3])[seen.camera]
     board_turn = -rigid.cross_matrices(by_board) @ rigid.left_jacobians(scene.boards[:, :3])[seen.instant]
-    by_offset = -_curve(scene, seen)[1][:, :, None]
+    by_time = -_curve(scene, seen)[1]
     values = np.concatenate(
-        [by_lens, by_point @ camera_turn, by_point, by_offset, by_world @ board_turn, by_world], axis=2
+        [by_lens, by_point @ camera_turn, by_point, by_time, by_world @ board_turn, by_world], axis=2
     )
     first = len(scene.cameras) * _PER_CAMERA
     places = np.concatenate(

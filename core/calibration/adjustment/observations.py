@@ -19,6 +19,7 @@ class Observations:
         camera, instant: [N] numbers.
         point: [N,3] of the board, metres.
         value, slope, bend: [N,2] the camera's curve of the corner, see `track.CornerCurve`.
+        extent: [N,2] width and height of the camera's picture.
         since: [N] seconds from the curve's picture to the instant, by the common time.
     """
 
@@ -28,6 +29,7 @@ class Observations:
     value: Float64
     slope: Float64
     bend: Float64
+    extent: Float64
     since: Float64
 
     def kept(self, rows: Bool) -> Observations:
@@ -44,5 +46,6 @@ def observed(tracks: Sequence[Track], times: Float64, offsets: Float64, board: F
         camera = np.full(len(instant), number)
         since = (times - curve.picture_time)[instant]
         rows = [values[instant, corner] for values in (curve.value, curve.slope, curve.bend)]
+        rows.append(np.tile(np.array(track.size, np.float64), (len(instant), 1)))
         parts.append((camera, instant, board[corner], *rows, since))
     return Observations(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))

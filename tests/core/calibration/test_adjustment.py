@@ -34,7 +34,8 @@ def test_projection_is_opencv_s_with_its_derivatives() -> None:
 def test_jacobian_of_the_adjustment_is_that_of_its_residuals() -> None:
     truth, times = rig(2), np.array([1.02, 2.03, 3.01])
     tracks = walked(truth, seconds=5)
-    scene = bundle.AdjustedRig(truth.lenses, truth.poses, np.array([0.01, -0.02]), board_at(times))
+    readouts = np.array([[0.002, 0.03], [-0.02, 0.004]])
+    scene = bundle.AdjustedRig(truth.lenses, truth.poses, np.array([0.01, -0.02]), readouts, board_at(times))
     seen = observed(tracks, times, scene.offsets, BOARD.corners)
     flat = bundle._flat(scene)
     jacobian = bundle._jacobian(scene, seen, len(flat)).toarray()

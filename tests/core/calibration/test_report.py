@@ -16,3 +16,11 @@ def test_cameras_with_uneven_times_are_named_in_one_sentence() -> None:
     (uneven,) = [sentence for sentence in sentences if "than their times say" in sentence]
     assert uneven.startswith("left and right: pictures were taken up to 20 ms earlier or later")
     assert not any("than their times say" in sentence for sentence in advice_of(found))
+
+
+def test_cameras_with_rolling_shutters_are_named_in_one_sentence() -> None:
+    found = calibration(["left", "middle", "right"], [0.0, 0.0, 0.0], (96, 64))
+    readouts = np.array([[0.0, 0.021], [0.001, -0.002], [-0.029, 0.0]])
+    (read,) = [each for each in advice_of(replace(found, readouts=readouts)) if "line by line" in each]
+    assert read.startswith("left and right: a picture is read line by line in up to 29 ms")
+    assert not any("line by line" in sentence for sentence in advice_of(found))

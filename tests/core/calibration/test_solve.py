@@ -60,11 +60,13 @@ def half(track: Track, begin: float, end: float) -> Track:
 def test_poses_lenses_and_offsets_of_distorted_cameras_are_found() -> None:
     truth, rate = rig(), 15.0
     offsets = np.array([0.0, 0.5, -0.35, 0.2]) / rate
-    found = calibrate(walked(truth, fps=rate, seconds=30, offsets=offsets), BOARD)
+    readouts = np.array([0.0, 0.03, 0.015, -0.02])  # of phones, one of which hangs upside down
+    found = calibrate(walked(truth, fps=rate, seconds=30, offsets=offsets, readouts=readouts), BOARD)
     degrees, metres = differences(poses_of(found), truth.poses)
     assert degrees.max() < 0.1
     assert metres.max() < 0.002
     assert np.abs(found.offsets - (offsets - offsets[found.root])).max() * rate < 0.1
+    np.testing.assert_allclose(found.readouts, np.stack([np.zeros(4), readouts], axis=1), atol=0.002)
     assert found.rms() == pytest.approx(0.15 * np.sqrt(2), rel=0.15)  # nothing but the noise is left
     assert np.abs(np.array([c.intrinsics[0, 0] for c in found.cameras]) / truth.lenses[:, 0] - 1).max() < 0.005
 

@@ -84,14 +84,36 @@ def walked(
     seed: int = 1,
     boards: Callable[[Float64], Float64] = board_at,
     uneven: float = 0.0,
+    readouts: Float64 | None = None,
 ) -> list[Track]:
-    """Tracks of a walk; a camera's clock shows the common time less its offset, with errors of `uneven` seconds."""
+    """Tracks of a walk; a camera's clock shows the common time less its offset, with errors of `uneven` seconds.
+
+    `readouts`: [C] seconds from the capture of a picture's first line to that of its last; none by default.
+    """
     random = np.random.default_rng(seed)
     offsets = np.zeros(len(rig.names)) if offsets is None else offsets
     tracks = []
     for number, name in enumerate(rig.names):
         clock = np.arange(int(seconds * fps)) / fps
         corners = corners_of(rig.lenses[number], rig.poses[number], boards(clock + offsets[number]), rig.size)
+        if readouts is not None:
+            corners = _read_by_lines(rig, number, boards, clock + offsets[number], readouts[number])
         stated = np.sort(clock + random.normal(0, uneven, len(clock))) if uneven else clock
         tracks.append(Track(name, rig.size, stated, corners + random.normal(0, noise, corners.shape)))
     return tracks
+
+
+def _read_by_lines(
+    rig: Rig, number: int, boards: Callable[[Float64], Float64], times: Float64, readout: float
+) -> Float64:
+    """Corners [K,J,2], each where it is when its line is read; the middle one at `times`."""
+    step = 0.004  # seconds
+    before, now, after = (
+        corners_of(rig.lenses[number], rig.poses[number], boards(times + late), rig.size) for late in (-step, 0, step)
+    )
+    speed, bend = (after - before) / (2 * step), (after + before - 2 * now) / (2 * step**2)
+    found = now
+    for _ in range(3):
+        late = readout * (found[..., 1:] / rig.size[1] - 0.5)
+        found = now + late * (speed + late * bend)
+    return found
