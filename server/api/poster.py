@@ -102,7 +102,7 @@ async def scene_at(stream: Stream, look: Look) -> Scene:
     if key is None or key > place or key.epoch != place.epoch or place > newest:
         raise Problem(404, f"version {place.version} of epoch {place.epoch} cannot be shown")
     try:
-        packets = await stream.bus.read(key, place)
+        packets = await stream.bus.read_group(key, place)
         found = await asyncio.to_thread(_decoded, [packet.data for packet in packets])
     except (OSError, BitstreamError) as error:
         raise Problem(503, f"the past cannot be read now ({error})", {"Retry-After": "2"}) from error

@@ -12,6 +12,7 @@ from collections.abc import Collection
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import dropwhile
 from pathlib import Path
 from typing import Protocol
 
@@ -117,6 +118,13 @@ class Bus:
             return self.window.read(first, last)
         segments = [s for s in recorded if s.first <= last and s.last >= first]
         return await asyncio.to_thread(_read_segments, segments, first, last)
+
+    async def read_group(self, key: Position, last: Position) -> list[StreamPacket]:
+        """Packets from the keyframe at `key` to `last`.
+
+        A keyframe in mid-stream has the version of the change before it, which ends the group of pictures before.
+        """
+        return list(dropwhile(lambda packet: not packet.is_key, await self.read(key, last)))
 
     async def groups(self) -> list[RetainedGroup]:
         """All retained groups of pictures, oldest first."""

@@ -208,7 +208,7 @@ class WorkerStream(Stream):
             return
         last = recording.segments[-1]
         try:
-            for packet in await self.bus.read(last.first, last.last):
+            for packet in await self.bus.read_group(last.first, last.last):
                 self.hub.send(await self.hub.decode(replace(packet, sequence=self._sequence)))
                 self._sequence += 1
             away = time.time() - last.path.stat().st_mtime

@@ -19,17 +19,18 @@ import pytest
 
 from streamlod.codec.container import SlodReader
 from streamlod.codec.decoder import SceneDecoder
-from streamlod.codec.encoder import encode_keyframe
+from streamlod.codec.encoder import encode_keyframe, encode_residual
 from streamlod.codec.packet.info import peek
 from streamlod.core.errors import InputError
 from streamlod.core.scene.keyframe import as_keyframe
+from streamlod.core.scene.residual import difference
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Retention, Settings
 from streamlod.server.stream.store import Store
 from streamlod.server.stream.worker_stream import MAX_AWAY_SECONDS, WorkerStream
 from streamlod.server.worker.process import Resume, Tag
-from tests.codec.scenes import assert_same_state
+from tests.codec.scenes import assert_same_state, move
 from tests.server.conftest import Clip, Viewer, make_clip, running, viewing
 
 
@@ -142,8 +143,10 @@ async def trained(folder: Path, spec: StreamSpec, packets: list[bytes], resumed:
         await stream.restore()
         found = stream.newest.version if stream.newest else -1
         resume = await stream.resume_point()
-        for packet in packets:
+        for number, packet in enumerate(packets):
             await stream.on_message(Tag.PACKET, packet)
+            if {peek(packet).to_version} == {peek(other).to_version for other in packets[number + 1 : number + 2]}:
+                continue  # both are of one frame
             report = {"version": peek(packet).to_version, **({"done": resumed} if resumed else {})}
             await stream.on_message(Tag.REPORT, json.dumps(report).encode())
         return found, resume
@@ -175,6 +178,20 @@ def test_training_continues_from_a_recent_recording_of_the_same_source(tmp_path:
     assert start("a", spec())[1] == Resume()
     assert start("b", StreamSpec(play=clip.path), *clip.packets[:7])[1] == Resume()
     assert start("b", StreamSpec(play=clip.path))[1] == Resume()  # a file is played from its begin
+
+
+def test_what_was_recorded_after_a_keyframe_in_mid_stream_is_shown_and_trained_on(tmp_path: Path, clip: Clip) -> None:
+    """Such a keyframe has the version of the change before it, which ends the group of pictures before."""
+    spec = StreamSpec(job=TrainJob(synthetic={"cameras": 3}))
+    time_ns = peek(clip.packets[5]).time_ns
+    refreshed = as_keyframe(clip.states[5], 5)
+    change = difference(refreshed, move(refreshed, seed=6))
+    after = encode_residual(refreshed, change, time_ns=2 * time_ns, profile=0)
+    packets = [*clip.packets[:6], encode_keyframe(refreshed, time_ns=time_ns), after]
+    asyncio.run(trained(tmp_path, spec, packets, 0))
+    assert len(list(tmp_path.rglob("*.slod"))) == 2
+    found, resume = asyncio.run(trained(tmp_path, spec, [], 0))
+    assert (found, resume.frames) == (6, 7)
 
 
 def test_a_stream_that_is_changed_begins_with_its_first_frame(clip: Clip) -> None:

@@ -164,7 +164,7 @@ async def _retained(stream: Stream, numbers: SegmentNumbers) -> Playlist:
     parts: tuple[PlaylistPart, ...] = ()
     if len(closed) < len(groups):
         newest = groups[-1]
-        packets = await stream.bus.read(newest.first, Position(newest.first.epoch, 2**32 - 1))
+        packets = await stream.bus.read_group(newest.first, Position(newest.first.epoch, 2**32 - 1))
         is_run_start = len(groups) > 1 and groups[-2].first.epoch != newest.first.epoch
         parts = finished_parts(packets, f"{folder}/{newest.first.epoch}", is_run_start, newest.begun_ns)
     return Playlist(
