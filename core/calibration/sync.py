@@ -14,6 +14,7 @@ from streamlod.core.calibration.track import Track
 
 _MIN_OVERLAP_S = 2.0
 _MIN_SAMPLES = 20
+_SPAN_S = 0.2  # over which a speed is measured
 _LASTING_S = 0.4  # seconds after which a walking person's speed is a new one
 _CERTAIN = 5.0  # of the score of two speeds that are the same; the best of many by chance has about 4
 _BETTER = 1.3  # times the score of no offset at all
@@ -51,15 +52,16 @@ def _speeds(track: Track, lens: Float64, board: Float64, centre: Float64, period
     """(first time, [2,S] logarithms of metres and of radians a second on a grid of `period`), NaN where not known."""
     poses = board_poses(track.corners, lens, board)
     places = rigid.after(poses, np.concatenate([np.zeros(3), centre]))[:, 3:]
-    steps = track.times[2:] - track.times[:-2]
-    metres = np.linalg.norm(places[2:] - places[:-2], axis=1) / steps
-    radians = np.radians(rigid.angles(poses[:-2], poses[2:])) / steps
-    known = (steps < 5 * track.period) & np.isfinite(metres)
+    apart = max(2, round(_SPAN_S / track.period))  # pictures: those of a fast camera lie too near to tell a speed
+    steps = track.times[apart:] - track.times[:-apart]
+    metres = np.linalg.norm(places[apart:] - places[:-apart], axis=1) / steps
+    radians = np.radians(rigid.angles(poses[:-apart], poses[apart:])) / steps
+    known = (steps < (apart + 3) * track.period) & np.isfinite(metres)
     count = int((track.times[-1] - track.times[0]) / period) + 1
     grid = track.times[0] + period * np.arange(count)
     found = np.full((2, count), np.nan)
     if known.sum() >= _MIN_SAMPLES:
-        times = track.times[1:-1][known]
+        times = ((track.times[apart:] + track.times[:-apart]) / 2)[known]
         place = np.clip(np.searchsorted(times, grid), 1, len(times) - 1)
         inside = np.maximum(np.abs(grid - times[place - 1]), np.abs(times[place] - grid)) < 2.5 * track.period
         for row, values in enumerate((metres[known] + 0.02, radians[known] + 0.05)):  # of a still board: noise
