@@ -28,6 +28,8 @@ Say = Callable[[str], None]
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _FPS = 30.0  # of phones, and of cameras that tell no rate
 _WALK = "walk"  # folder beside the rig's file, which the board walk is recorded into and calibrates
+_KEPT = "evenings"  # folder beside it of what is streamed
+_KEPT_SECONDS = 7 * 24 * 3600
 _QUORUM_FROM = 4  # cameras: with so many a stream goes on without one of them
 _WAIT_SECONDS = 600.0  # for all cameras of a rig to deliver
 
@@ -183,16 +185,19 @@ def _searched(say: Say) -> list[NamedSource]:
 
 
 def _prepared_phones(out: Path, say: Say) -> Path:
-    """Settings that name a certificate, without which phones give no page their camera; made where there are none."""
+    """Settings, made where there are none: with a certificate, without which phones give no page their camera, and a
+    folder that keeps for a week what is streamed."""
     from streamlod.server.service.addresses import own_address
     from streamlod.server.service.self_signed import write_self_signed
 
     config, certificate, key = (out.with_name(out.stem + end) for end in (".toml", "-certificate.pem", "-key.pem"))
     if not config.exists():
         write_self_signed(certificate, key, own_address())
-        lines = {"host": "0.0.0.0", "certificate": str(certificate.absolute()), "certificate_key": str(key.absolute())}
-        write_text(config, "".join(f"{name} = {json.dumps(value)}\n" for name, value in lines.items()))
-        say(f"{config}: settings of the server, with a certificate of its own making")
+        places = {"certificate": certificate, "certificate_key": key, "state": out.with_name(_KEPT)}
+        lines = {"host": "0.0.0.0"} | {name: str(place.absolute()) for name, place in places.items()}
+        text = "".join(f"{name} = {json.dumps(value)}\n" for name, value in lines.items())
+        write_text(config, f"{text}\n[retention]\nseconds = {_KEPT_SECONDS}\n")
+        say(f"{config}: settings of the server, with a certificate of its own making; what it streams goes to {_KEPT}")
     return config
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -48,6 +49,7 @@ class SoundTrack:
         self._recording = recording
         self._held: deque[HeldPiece] = deque()
         self._bytes = 0
+        self._earlier = None if recording is None else _facts_of(sound_beside(s.path) for s in recording.segments)
         self._recorded_ns = -(2**63)  # up to which it has been handed to the recording
         # of this stream alone: another one may have files of the same names and sizes
         self._pieces_of = lru_cache(maxsize=4)(_pieces_of)
@@ -55,9 +57,12 @@ class SoundTrack:
 
     @property
     def facts(self) -> dict[str, int | bool] | None:
-        """Facts that are told: `begin_ns` of the oldest piece in memory, `channels`, `live`; None without any."""
+        """Facts that are told: `begin_ns` of the oldest piece in memory, `channels`, `live`; None without any.
+
+        Before there is any, those of what was recorded before this server began.
+        """
         if not self._held:
-            return None
+            return self._earlier
         oldest = self._held[0].piece
         return {"begin_ns": max(0, oldest.begin_ns), "channels": oldest.settings.channels, "live": True}
 
@@ -154,6 +159,15 @@ def _from(paths: list[Path], begin_ns: int) -> Iterator[Path]:
         else:
             high = middle
     yield from paths[first:]
+
+
+def _facts_of(paths: Iterable[Path]) -> dict[str, int | bool] | None:
+    """The facts of the first of these files that is one."""
+    for path in paths:
+        with suppress(OSError, InputError):  # a group without sound, or damaged
+            found = look_at_sound(path)
+            return {"begin_ns": found.begin_ns, "channels": found.channels, "live": True}
+    return None
 
 
 def _begin_of(path: Path) -> int | None:

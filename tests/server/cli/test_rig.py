@@ -70,6 +70,8 @@ def test_the_file_names_what_gives_pictures_with_its_size(tmp_path: Path) -> Non
     assert sheet is not None
     assert sheet.shape == (2 * 388, 2 * 480, 3)
     settings = load_settings(tmp_path / "rig.toml")
+    assert settings.state == tmp_path / "evenings"
+    assert settings.retention.seconds > 24 * 3600, "an evening is kept for longer than an hour"
     assert settings.certificate is not None
     assert settings.certificate_key is not None
     ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(settings.certificate, settings.certificate_key)

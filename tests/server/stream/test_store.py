@@ -14,10 +14,12 @@ import pytest
 
 from streamlod.codec.container import SlodReader
 from streamlod.codec.packet.info import peek
+from streamlod.codec.sound.beside import sound_beside
 from streamlod.core.errors import InputError
 from streamlod.server.protocol.packets import Position, StreamPacket, stream_packet
 from streamlod.server.settings import Retention
 from streamlod.server.stream.bus import Bus
+from streamlod.server.stream.sound_track import SoundTrack
 from streamlod.server.stream.store import Recording, Store
 from tests.server.conftest import make_clip
 from tests.server.sounds import pieces
@@ -74,6 +76,16 @@ def test_a_recording_is_found_again(tmp_path: Path) -> None:
     assert [s.closed for s in recording.segments] == [True] * 3
     assert stored(recording) == [packet.data for packet in packets]
     assert recording.last_epoch == 1
+
+
+def test_the_sound_of_a_recording_that_is_found_again_is_offered(tmp_path: Path) -> None:
+    """Before anything is heard anew: else the past of an evening would be silent on the next day."""
+    record(tmp_path, packets_of(tmp_path), sounding=1.0)
+    (tmp_path / "streams" / "main" / sound_beside(Path("000001-0000000000.slod"))).unlink()
+    found = SoundTrack(reopened(tmp_path))
+    assert found.facts == {"begin_ns": 0, "channels": 1, "live": True}
+    assert asyncio.run(found.read(0))
+    assert SoundTrack(reopened(tmp_path / "other")).facts is None
 
 
 @pytest.mark.parametrize("cut", [1, 10, 200, 700])
