@@ -11,7 +11,8 @@ from streamlod.core.arrays import Float64, Int64
 MIN_CORNERS = 6  # of a picture that is used
 _STILL = 0.02  # of a period: so near to its picture's time, a corner without neighbours in time may be used
 _STRAIGHT = 0.1  # the same of one with a single neighbour, as boards do not move straight on
-_GAP = 2.5  # periods: pictures farther apart are no neighbours
+_GAP = 1.5  # periods: pictures that are so much farther apart than usual are no neighbours
+_SPAN_S = 1 / 15  # between neighbours, at least: those of a fast camera lie too near to tell how a corner moves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +63,8 @@ class Track:
     def near(self, times: Float64) -> CornerCurve:
         """Curves of all corners near `times` [N], ascending, by the camera's clock.
 
-        A parabola goes through the nearest picture's corner and those before and after. Where one of these is missing,
+        A parabola goes through the nearest picture's corner and those of a fifteenth of a second before and after, or
+        of the pictures before and after where these are farther. Where one of these is missing,
         a line holds near the picture's time; where both are, the corner is used at its picture's time alone.
         """
         after = np.clip(np.searchsorted(self.times, times), 1, max(1, len(self.times) - 1))
@@ -72,8 +74,9 @@ class Track:
             np.minimum(after, len(self.times) - 1),
         )
         here = self.corners[nearest]
-        before, h = self._neighbour(nearest, -1)
-        behind, k = self._neighbour(nearest, 1)
+        apart = max(1, round(_SPAN_S / self.period))
+        before, h = self._neighbour(nearest, -apart)
+        behind, k = self._neighbour(nearest, apart)
         back, ahead = (here - before) / h[:, None, None], (behind - here) / k[:, None, None]
         total = (h + k)[:, None, None]
         bend = (ahead - back) / total
@@ -88,8 +91,8 @@ class Track:
         return CornerCurve(self.times[nearest], np.where(unusable, np.nan, here), slope, bend)
 
     def _neighbour(self, rows: Int64, step: int) -> tuple[Float64, Float64]:
-        """[N,J,2] corners in the picture before or after, and [N] seconds between."""
+        """[N,J,2] corners so many pictures before or after, and [N] seconds between."""
         other = np.clip(rows + step, 0, len(self.times) - 1)
         seconds = np.abs(self.times[other] - self.times[rows])
-        usable = (seconds > 0) & (seconds < _GAP * self.period)
+        usable = (seconds > 0) & (seconds < (abs(step) + _GAP) * self.period)
         return np.where(usable[:, None, None], self.corners[other], np.nan), np.where(usable, seconds, 1.0)

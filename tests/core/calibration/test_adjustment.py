@@ -73,6 +73,18 @@ def test_tracks_are_parabolas_between_pictures() -> None:
     assert np.isnan(alone.value[1]).all()
 
 
+def test_curves_between_pictures_of_a_fast_camera_are_as_noisy_as_at_them() -> None:
+    """If they were less so, cameras would be found to read their pictures slowly, which takes times away from these."""
+    times = np.arange(4000) / 30
+    noise = np.random.default_rng(0).normal(0, 0.3, (4000, 1, 2))
+    track = Track("a", (100, 100), times, 5 + 30 * times[:, None, None] + noise)
+    scatter = []
+    for late in (0.0, 0.5 / 30):
+        wanted = times[10:-10] + late
+        scatter.append(np.std(track.near(wanted).at(wanted)[:, 0, 0] - 5 - 30 * wanted))
+    assert scatter[1] / scatter[0] > 0.93
+
+
 def test_bounds_of_lenses_hold_back_those_that_fold_and_no_others() -> None:
     sizes = [(640, 480), (1280, 720)]
     sound = np.array([LENS, [903.5, 907.9, 618.3, 394.2, -0.332, 0.046, -0.004, 0.004, 0.067]])
