@@ -256,10 +256,17 @@ export class Session {
   tick(now) {
     const { status } = this;
     if (!this.open) return [];
-    const patience = Math.max(MIN_STALL_MS, 8000 / (status.fps || 30), USUAL_GAPS * this.usualGap);
+    const patience = Math.max(MIN_STALL_MS, 8000 / (status.fps || 30), USUAL_GAPS * Math.max(this.usualGap, this.#gapAhead()));
     this.isQuiet = now - this.lastPacket > Math.min(patience, MAX_STALL_MS);
     this.settle();
     return this.unacknowledged && now - this.lastAck > 900 ? this.acknowledge(null, now) : [];
+  }
+
+  /** Mean ms between the frames from the one shown to the newest, as far as they are of one run; else 0. */
+  #gapAhead() {
+    const { position, window, filmedMs, newestMs } = this.status;
+    if (!position || window?.newest.epoch !== position.epoch || filmedMs === null || newestMs === null) return 0;
+    return Math.max(0, newestMs - filmedMs) / Math.max(1, window.newest.version - position.version);
   }
 
   /**

@@ -449,6 +449,20 @@ test("session: a slow encoder is not a stall, a sudden silence is one", () => {
   assert.equal(session.status.phase, "stalled");
 });
 
+test("session: recorded frames that lie far apart are not overdue before their time", () => {
+  const session = new Session(0);
+  session.opened(0);
+  const window = { oldest: { epoch: 1, version: 0 }, newest: { epoch: 1, version: 30 }, newest_time_ns: 300_000_000_000 };
+  session.control(welcome({ source: "cameras", window }));
+  session.control(event("position", { mode: "replay", version: 10 }));
+  session.arrived(1, 1000);
+  session.applied(10, 1, 1000, 120_000); // 20 more in three minutes
+  session.tick(10_000);
+  assert.equal(session.status.phase, "behind");
+  session.tick(50_000);
+  assert.equal(session.status.phase, "stalled");
+});
+
 test("session: the welcome tells the progress of the first frame and the server's clock", () => {
   const session = new Session(0);
   session.opened(1000);
