@@ -63,9 +63,9 @@ class Track:
     def near(self, times: Float64) -> CornerCurve:
         """Curves of all corners near `times` [N], ascending, by the camera's clock.
 
-        A parabola goes through the nearest picture's corner and those of a fifteenth of a second before and after, or
-        of the pictures before and after where these are farther. Where one of these is missing,
-        a line holds near the picture's time; where both are, the corner is used at its picture's time alone.
+        A parabola goes through the corner in the nearest picture and in those a fifteenth of a second before and after
+        it, or in the next ones where these are farther. Where one of them is missing, a line holds near the picture's
+        time; where both are, the corner is used at its picture's time alone.
         """
         after = np.clip(np.searchsorted(self.times, times), 1, max(1, len(self.times) - 1))
         nearest = np.where(

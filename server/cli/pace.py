@@ -25,8 +25,8 @@ def judged_pace(cameras: Sequence[Camera], cores: int) -> list[RigFinding]:
     if seconds <= _SMOOTH_SECONDS:
         return []
     sentence = (
-        f"without a graphics card, {cores} cores train one frame of {width}x{height} in about {_told(seconds)} s while "
-        "live, so that people are shown in jumps"
+        f"without a graphics card that training can use, {cores} cores train one frame of {width}x{height} in about "
+        f"{_told(seconds)} s while live, so that people are shown in jumps"
     )
     times = round(min(width, height) / _ROWS)
     if times > 1:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix, vstack
+from scipy.sparse import csr_matrix, diags, vstack
 
 from streamlod.core.arrays import Bool, Float64
 from streamlod.core.calibration.adjustment import rigid
@@ -102,28 +102,20 @@ def adjust(
 
     def residuals(values: Float64) -> Float64:
         whole = full(values)
-        held = (whole[: count * _PER_CAMERA].reshape(count, -1)[:, :9] - mean) / deviation * _NOISE
+        held = (whole[:first].reshape(count, -1) - mean) / deviation * _NOISE
         aspect = (whole[:first:_PER_CAMERA] - whole[1:first:_PER_CAMERA]) / (deviation[:, 0] * _ASPECT) * _NOISE
-        scene = _scene(whole, count)
-        read = scene.readouts / _READOUT * _NOISE
-        parts = weights.of_misses(misses_of(scene, seen)), held, aspect, read, unfolded.misses(whole)
+        parts = weights.of_misses(misses_of(_scene(whole, count), seen)), held, aspect, unfolded.misses(whole)
         return np.concatenate([part.ravel() for part in parts])
 
     def slopes(values: Float64) -> csr_matrix:
         whole = full(values)
         jacobian = weights.of_slopes(_jacobian(_scene(whole, count), seen, len(start)))
-        rows = np.arange(count * 9)
-        places = (np.arange(count)[:, None] * _PER_CAMERA + np.arange(9)).ravel()
-        held = csr_matrix(((_NOISE / deviation).ravel(), (rows, places)), (len(rows), len(start)))
+        held = diags((_NOISE / deviation).ravel(), shape=(first, len(start)))
         each = np.arange(count) * _PER_CAMERA
         weight = _NOISE / (deviation[:, 0] * _ASPECT)
         rows, places = np.tile(np.arange(count), 2), np.concatenate([each, each + 1])
         aspect = csr_matrix((np.concatenate([weight, -weight]), (rows, places)), (count, len(start)))
-        places = (each[:, None] + np.arange(_PER_CAMERA)[_READOUTS]).ravel()
-        read = csr_matrix(
-            (np.full(2 * count, _NOISE / _READOUT), (np.arange(2 * count), places)), (2 * count, len(start))
-        )
-        return vstack([jacobian, held, aspect, read, unfolded.slopes(whole)]).tocsr()[:, columns]
+        return vstack([jacobian, held, aspect, unfolded.slopes(whole)]).tocsr()[:, columns]
 
     scale = np.full(len(residuals(start[columns])), np.inf)  # of priors and bounds
     scale[: 2 * len(seen.camera)] = min(_ROBUST * uneven.noise, _FARTHEST)
@@ -147,12 +139,14 @@ def spread(misses: Float64) -> float:
 
 
 def _priors(sizes: Sequence[tuple[int, int]]) -> tuple[Float64, Float64]:
-    """[C,9] means and standard deviations of lenses: any focal length, the centre near the middle, little bending."""
+    """[C,18] means and standard deviations of the cameras' values: any focal length, the centre near the middle, little
+    bending, and how long pictures may take to be read; poses and offsets are free."""
     means, deviations = [], []
     for width, height in sizes:
         long = max(width, height)
-        means.append([long, long, (width - 1) / 2, (height - 1) / 2, 0, 0, 0, 0, 0])
-        deviations.append([long * 10, long * 10, long * 0.02, long * 0.02, 0.3, 0.3, 0.002, 0.002, 0.1])
+        means.append([long, long, (width - 1) / 2, (height - 1) / 2, *[0] * 14])
+        lens = [long * 10, long * 10, long * 0.02, long * 0.02, 0.3, 0.3, 0.002, 0.002, 0.1]
+        deviations.append([*lens, *[np.inf] * 7, _READOUT, _READOUT])
     return np.array(means), np.array(deviations)
 
 
@@ -170,18 +164,17 @@ def _scene(values: Float64, count: int) -> AdjustedRig:
 def _curve(scene: AdjustedRig, seen: Observations) -> tuple[Float64, Float64]:
     """[N,2] corners by the cameras' curves, and [N,2,3] their derivatives by the offsets and readouts.
 
-    A curve counts time by pictures; the corner of one is captured as much later as it lies farther down, which moves it
-    on: what is wanted is the t of the curve with t + readout . (place at t) = time since the picture.
+    A curve gives the corner in a picture taken t seconds after the nearest one. The corner itself is captured
+    readouts . place later than the picture's middle, so the t is wanted at which both add up to the time since.
     """
     readouts = scene.readouts[seen.camera]
     place = seen.value / seen.extent - 0.5
     pace = 1 + (readouts * seen.slope / seen.extent).sum(axis=1)
     t = ((seen.since - scene.offsets[seen.camera] - (readouts * place).sum(axis=1)) / pace)[:, None]
     by_readout = place + t * seen.slope / seen.extent
-    by_time = -np.concatenate([np.ones_like(t), by_readout], axis=1) / pace[:, None]
-    return seen.value + t * (seen.slope + t * seen.bend), (seen.slope + 2 * t * seen.bend)[:, :, None] * by_time[
-        :, None
-    ]
+    by_clock = -np.concatenate([np.ones_like(t), by_readout], axis=1) / pace[:, None]
+    speed = seen.slope + 2 * t * seen.bend
+    return seen.value + t * (seen.slope + t * seen.bend), speed[:, :, None] * by_clock[:, None]
 
 
 def misses_of(scene: AdjustedRig, seen: Observations) -> Float64:
