@@ -67,9 +67,13 @@ def says(page: Any, text: str) -> None:
 
 
 def figure(page: Any, name: str) -> str:
-    """A figure that the page shows."""
-    names = page.eval_on_selector_all("#figures dt", "(all) => all.map((e) => e.textContent)")
-    return str(page.eval_on_selector_all("#figures dd", "(all) => all.map((e) => e.textContent)")[names.index(name)])
+    """A figure that the page shows; the table is drawn anew each second, at first a second after the page."""
+    shown = page.wait_for_function(
+        "(name) => [...document.querySelectorAll('#figures dt')].find((term) => term.textContent === name)"
+        "?.nextSibling.textContent",
+        arg=name,
+    )
+    return str(shown.json_value())
 
 
 @contextmanager
