@@ -55,6 +55,15 @@ class Replay:
             return None
         return max(0.0, self._due(self._ahead[0]) - now) if self._ahead[0].position.epoch == self._epoch else 0.0
 
+    def played_ns(self, now: float) -> int:
+        """Time of what is played now, between the picture that was sent last and the next one, as packets count it."""
+        shown = self._delivery.last
+        begin_ns = 0 if shown is None else shown.info.time_ns
+        if not self._ahead or self._ahead[0].position.epoch != self._epoch:
+            return begin_ns
+        end_ns = self._ahead[0].info.time_ns
+        return max(begin_ns, min(round((now - self._clock) * self.speed * 1e9), end_ns))
+
     async def load(self, place: Position, is_wanted: Callable[[], bool] = lambda: True) -> None:
         """Send from the last keyframe before `place`, while that is wanted; what leads to `place` is due at once.
 

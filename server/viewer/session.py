@@ -251,7 +251,8 @@ class ViewerSession:
         await self._tell_window(now)
         if self._playhead.mode == "paused":
             return False
-        return await self._sound.step(is_live=self._playhead.mode == "live") or await self._go_on(now)
+        played_ns = None if self._playhead.mode == "live" else self._replay.played_ns(now)
+        return await self._sound.step(played_ns) or await self._go_on(now)
 
     @property
     def _window_pause(self) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from streamlod.server.stream.sound_track import SoundTrack
 from streamlod.server.viewer.delivery import Delivery
 
-_AHEAD_NS = 4_000_000_000  # of the pictures of a replay
+_AHEAD_NS = 4_000_000_000  # of what a replay plays
 _LOW_NS = 2_000_000_000  # less than that is sent ahead: it is time for more
 
 
@@ -37,13 +37,17 @@ class SoundSender:
         """Go on from the next picture, wherever that is."""
         self._until_ns = None
 
-    async def step(self, *, is_live: bool) -> bool:
-        """Send what is due; returns whether there was anything."""
+    async def step(self, played_ns: int | None) -> bool:
+        """Send what is due; returns whether there was anything.
+
+        Args:
+            played_ns: the time up to which a replay has come, or None at the live edge.
+        """
         shown = self._delivery.last
         if not self.is_wanted or shown is None:
             return False
         begin_ns = shown.info.time_ns if self._until_ns is None else self._until_ns
-        end_ns = None if is_live else shown.info.time_ns + _AHEAD_NS
+        end_ns = None if played_ns is None else played_ns + _AHEAD_NS
         if end_ns is not None and end_ns - begin_ns < _AHEAD_NS - _LOW_NS:
             return False
         found = await self._track.read(begin_ns, end_ns)

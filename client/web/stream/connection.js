@@ -111,7 +111,11 @@ export class Connection extends Link {
     if (this.asked || !position) return;
     /** @type {(to: number | null) => boolean} live goes on past it */
     const reached = (to) => position.version === to || (to !== null && mode === "live" && position.version > to);
-    if (reached(this.aim)) this.aim = null;
+    if (reached(this.aim)) {
+      this.aim = null;
+      const { filmedMs } = this.session.status;
+      this.session.status.began = filmedMs === null ? null : { filmedMs, at: performance.now() };
+    }
     if (!reached(this.stopAt)) return;
     this.stopAt = null;
     this.transmit([{ type: "pause" }]);

@@ -95,14 +95,25 @@ export class Recording {
   /** @param {number} index */
   #moveTo(index) {
     this.at = Math.min(Math.max(index, 0), this.moments.length - 1);
-    this.clock = { wall: performance.now(), media: this.moments[this.at]?.timeMs ?? 0 };
+    this.#goOn(this.moments[this.at]?.timeMs ?? 0);
+  }
+
+  /** What was filmed that is played now, ms. */
+  get #media() {
+    return this.clock.media + (performance.now() - this.clock.wall) * this.speed;
+  }
+
+  /** Play on from there. @param {number} media - ms of filming */
+  #goOn(media) {
+    this.clock = { wall: performance.now(), media };
+    this.session.status.began = { filmedMs: media, at: this.clock.wall };
   }
 
   #tick() {
     if (!this.moments.length || this.ended) return;
     if (this.busy) return this.#settle();
     if (this.playing && this.shown >= 0) {
-      const media = this.clock.media + (performance.now() - this.clock.wall) * this.speed;
+      const media = this.#media;
       while (this.at + 1 < this.moments.length && this.moments[this.at + 1].timeMs <= media) this.at++;
       const last = this.moments.length - 1;
       const frame = last > 0 ? (this.moments[last].timeMs - this.moments[0].timeMs) / last : 0;
@@ -197,15 +208,19 @@ export class Recording {
   send(messages) {
     for (const message of messages) {
       if (message.type === "seek") this.#moveTo(message.to === "live" ? this.moments.length - 1 : this.#indexOf(message.to.version));
-      else if (message.type === "pause") this.playing = false;
-      else if (message.type === "play") {
-        this.#moveTo(this.at >= this.moments.length - 1 ? 0 : this.at);
+      else if (message.type === "pause") {
+        if (this.playing) this.#goOn(this.#media);
+        this.playing = false;
+      } else if (message.type === "play") {
+        if (this.at >= this.moments.length - 1) this.#moveTo(0);
+        else if (!this.playing) this.#goOn(this.clock.media);
         this.playing = true;
       } else if (message.type === "speed") {
-        this.#moveTo(this.at);
+        if (this.playing) this.#goOn(this.#media);
         this.speed = message.value;
       } else if (message.type === "loop") this.loop = message.value;
     }
+    this.handlers.status();
   }
 
   hurry() {}

@@ -31,6 +31,7 @@ const USUAL_GAPS = 4; // so many times the usual time between two frames is a st
  * @property {number | null} fraction - of training the first frame
  * @property {{ oldest: Position, newest: Position } | null} window
  * @property {Position | null} position - newest applied
+ * @property {{ filmedMs: number, at: number } | null} began - since when it plays on, in ms of this side, and from what; also where that is the picture that was there
  * @property {"live" | "replay" | "paused"} mode
  * @property {boolean} stopping - it stands still, or will where a seek leads
  * @property {number | null} levels - of the stream
@@ -60,7 +61,7 @@ export class Session {
     /** @type {Status} */
     this.status = {
       phase: "connecting", source: "cameras", loops: false, lagSeconds: null, filmedMs: null, newestMs: null, clockMs: null, detail: "", stage: "", trouble: "", fraction: null,
-      window: null, position: null, mode: "live", stopping: false, levels: null,
+      window: null, position: null, began: null, mode: "live", stopping: false, levels: null,
       sentLevels: null, fps: null, retryAt: 0, skipped: 0, bytes: 0, together: null,
     };
     this.attempts = 0;

@@ -16,6 +16,7 @@ const MAX_PULL = 0.15; // by which it runs faster or slower, at its pitch
 const SMOOTH = 0.15; // share of a new picture in the clock: pictures come unevenly
 const SEEK_MS = 300; // the clock is this far off what a picture says: it was sought
 const LATE_MS = 400, LATE_PICTURES = 2; // that pictures stay away before sound waits for them
+const SPARSE_MS = 1000; // so far apart, pictures are reached before the next one is due: sound does not wait for that
 const MOVING = ["live", "behind", "replay"]; // phases in which pictures go on by themselves
 const MAX_TRIES = 2; // to load it, after the first
 const HEAD_BYTES = 4096; // both headers of the file
@@ -45,6 +46,7 @@ export class Sound {
     this.clock = NaN; // what was filmed, less the time of this page times the speed, ms
     this.speed = 1;
     this.shown = { filmed: NaN, at: 0, gap: 0 }; // newest picture, ms
+    this.beganAt = NaN; // by the clock of the worker, ms
     this.jumpedAt = -Infinity;
     this.tried = 0; // loading
     this.opener = Object.assign(document.createElement("button"), { id: "t-sound", innerHTML: '<svg viewBox="0 0 24 24"><path/></svg>' });
@@ -54,6 +56,7 @@ export class Sound {
     this.volume.oninput = () => (this.audio.volume = Number(this.volume.value));
     element("t-time").after(this.opener, this.volume);
     viewer.addEventListener("picture", (event) => this.#note(/** @type {CustomEvent} */ (event).detail), { signal });
+    viewer.addEventListener("status", (event) => this.#begin(/** @type {CustomEvent} */ (event).detail), { signal });
     this.audio.addEventListener("error", () => this.isOn && this.#load(), { signal }); // perhaps the address has expired
     this.timer = setInterval(() => this.#step(performance.now()), STEP_MS);
     this.#turn(false);
@@ -77,17 +80,35 @@ export class Sound {
     if (Number.isNaN(filmed) || filmed === this.shown.filmed) return; // the same from elsewhere
     const { speed } = this.timeline;
     this.shown = { filmed, at: now, gap: Math.max(0, filmed - this.shown.filmed) / speed || 0 };
-    const clock = filmed - speed * (now + (overMs ?? 0)); // it is reached then
+    const over = overMs && overMs < SPARSE_MS ? overMs : 0;
+    const clock = filmed - speed * (now + over); // it is reached then
     const isOld = speed !== this.speed || !(Math.abs(clock - this.clock) < SEEK_MS);
     this.speed = speed;
     this.clock = isOld ? clock : this.clock + SMOOTH * (clock - this.clock);
+  }
+
+  /** How long the picture that is shown stays, ms, as far as that is known. */
+  get #gap() {
+    const { position, status, speed } = this.timeline;
+    if (!position || status?.mode === "live") return this.shown.gap;
+    const next = { ...position, version: position.version + 1 };
+    return Math.max(this.shown.gap, (this.timeline.filmedAt(next) - this.timeline.filmedAt(position)) / speed);
+  }
+
+  /** It plays on, perhaps the picture that was there: from when and where is known. @param {{ status: import("../stream/session.js").Status, now: number }} told */
+  #begin({ status: { began }, now }) {
+    if (!began || began.at === this.beganAt) return;
+    this.beganAt = began.at;
+    this.speed = this.timeline.speed;
+    this.shown.at = performance.now() - (now - began.at);
+    this.clock = began.filmedMs - this.speed * this.shown.at;
   }
 
   /** @param {number} now */
   #step(now) {
     const { audio, viewer, shown } = this;
     if (!this.isOn) return;
-    const isLate = now - shown.at > LATE_MS + LATE_PICTURES * shown.gap;
+    const isLate = now - shown.at > LATE_MS + LATE_PICTURES * this.#gap;
     const at = this.#filmed(now) - (this.beginMs ?? NaN), off = 1000 * audio.currentTime - at;
     const isOutside = this.live ? !isHeld(audio.buffered, at / 1000) : !(at >= 0) || at > 1000 * (audio.duration || Infinity);
     if (isLate || isOutside || this.timeline.stands || !MOVING.includes(viewer.status?.phase ?? "")) {

@@ -186,7 +186,7 @@ export class Timeline {
     if (!position) return;
     const place = strip.placeAfter(strip.filmedBefore(strip.placeOf(position)) + seconds);
     if (place >= strip.seconds && !this.recording) return this.live();
-    this.seekTo(strip.positionAt(place));
+    this.seekTo(strip.after(position, seconds));
   }
 
   /** Stand still at a moment; `epoch` null: of the newest one. @param {number} version @param {number | null} epoch */

@@ -107,6 +107,13 @@ export class Bar {
     return this.seconds;
   }
 
+  /** What was filmed so much later, or the next frame where that is farther. @param {Position} position @param {number} seconds - below 0: earlier */
+  after(position, seconds) {
+    const to = this.positionAt(this.placeAfter(this.filmedBefore(this.placeOf(position)) + seconds));
+    if (to?.epoch !== position.epoch || to.version !== position.version) return to;
+    return this.positionAt(this.placeOf({ ...position, version: position.version + Math.sign(seconds) }));
+  }
+
   /**
    * How much later the newest was filmed than what lies at a place, s.
    * @param {number} place

@@ -300,6 +300,10 @@ test("the bar is as long as was filmed, with gaps between the epochs", () => {
   assert.equal(bar.behind(80, false), 20);
   assert.equal(bar.behind(bar.seconds, true), 0);
   assert.deepEqual([bar.positionAt(90 + 0.4 * gap), bar.positionAt(90 + 0.6 * gap)], [{ epoch: 1, version: 20 }, { epoch: 3, version: 0 }]);
+  assert.deepEqual(bar.after({ epoch: 1, version: 10 }, -5), { epoch: 1, version: 9 });
+  assert.deepEqual(bar.after({ epoch: 1, version: 0 }, 5), { epoch: 1, version: 1 }, "frames lie 8 s apart: the next one");
+  assert.deepEqual(bar.after({ epoch: 3, version: 10 }, 5), { epoch: 3, version: 10 });
+  assert.deepEqual(bar.after({ epoch: 1, version: 0 }, -5), { epoch: 1, version: 0 });
   assert.equal(new Bar([], times, 30).positionAt(3), null);
   for (let version = 0; version < 10_000; version++) times.note({ epoch: 4, version }, 33 * version);
   assert.ok((times.known.get(4)?.length ?? 0) <= 4096);

@@ -110,6 +110,73 @@ def test_sound_follows_the_picture(page: Any, sounding: Path) -> None:
         shows(page, "s.phase === 'ended' && !s.sound.playing")
 
 
+# How far the sound is from what was filmed when a picture comes, ms; nothing while it is silent.
+AT_PICTURES = """() => {
+  window.off = {};
+  streamlod.on("picture", ({ timeMs, version }) => {
+    const { sound } = streamlod.state;
+    window.off[version] ??= sound?.playing ? sound.timeMs - timeMs : null;
+  });
+}"""
+APART_MS = 3000
+
+
+def sparse(folder: Path) -> Path:
+    """What a slow machine records: pictures seconds apart, and all of the sound."""
+    path = folder / "clip.slod"
+    make_clip(make_scene(60), 7, frame_ns=APART_MS * 1_000_000).write(path)
+    write_sound(sound_beside(path), [clicks(21.0)], 1, 0)
+    return path
+
+
+def arrives(page: Any, version: int) -> None:
+    """Wait for a picture, at which its sound is heard. The page needs AT_PICTURES."""
+    page.wait_for_function("(version) => version in off", arg=version, **WAIT)
+    off = page.evaluate("(version) => off[version]", version)
+    assert off is not None
+    assert abs(off) < 150
+
+
+@pytest.mark.long
+def test_sound_goes_on_between_pictures_that_are_seconds_apart(page: Any, kernel: bytes, tmp_path: Path) -> None:
+    """From the first picture on, also paused between two of them, begun anew at the one that is shown, and faster."""
+    with served(page, Settings(), sparse(tmp_path), loop=False) as server:
+        page.goto(f"{server.url}/?quality=low&sway=0")
+        shows(page, "s.sound !== null && s.version !== null")
+        page.locator("#t-sound").click()
+        page.evaluate(AT_PICTURES)
+        page.evaluate("streamlod.seek(0)")
+        arrives(page, 1)
+        shows(page, f"s.sound.timeMs > {APART_MS + 1500}")
+        page.evaluate("streamlod.pause()")
+        shows(page, "s.phase === 'paused' && !s.sound.playing")
+        page.wait_for_timeout(1000)
+        page.evaluate("streamlod.play()")
+        shows(page, f"s.sound.playing && s.version === 1 && s.sound.timeMs > {APART_MS + 1500}")  # where it stopped
+        arrives(page, 2)
+        shows(page, f"s.sound.timeMs > {2 * APART_MS + 1500}")
+        page.evaluate("streamlod.seek(2)")
+        shows(page, f"s.sound.playing && s.sound.timeMs < {2 * APART_MS + 1500}")
+        arrives(page, 3)
+        page.locator("#t-speed").click()
+        arrives(page, 4)
+
+
+@pytest.mark.long
+def test_sound_begins_anew_with_a_picture_that_is_shown_already(page: Any, kernel: bytes, tmp_path: Path) -> None:
+    """In the past of a stream, over the websocket: pictures there are loaded again, and none is new."""
+    with served(page, Settings(), sparse(tmp_path)) as server:
+        page.goto(f"{server.url}/?quality=low&sway=0&together=1")
+        shows(page, "s.sound !== null && s.window?.newest.version >= 2")
+        page.locator("#t-sound").evaluate("button => button.click()")
+        page.evaluate(AT_PICTURES)
+        page.evaluate("streamlod.seek(0)")
+        shows(page, "s.version === 0 && s.sound.playing && s.sound.timeMs > 1500 && s.sound.timeMs < 2800")
+        page.evaluate("streamlod.seek(0)")
+        shows(page, "s.version === 0 && s.sound.playing && s.sound.timeMs < 1500")
+        arrives(page, 1)
+
+
 # What comes out of the audio element, and when pictures are shown, both by the clock of the page.
 LISTEN = """() => {
   window.heard = [];

@@ -13,7 +13,7 @@ from streamlod.core.errors import BitstreamError
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import EdgeSettings, Retention, Settings
 from tests.clicks import heard_at
-from tests.server.conftest import Clip, Running, running, viewing
+from tests.server.conftest import Clip, Running, make_clip, running, viewing
 from tests.server.sounds import hear, pieces
 
 PATH = "/v1/streams/main/sound"
@@ -65,6 +65,23 @@ def test_a_seek_brings_the_sound_of_where_it_leads(server: Running) -> None:
         viewer.until_heard(4 * SECOND_NS)
         assert 0.7 * SECOND_NS < viewer.sound[0].begin_ns <= 1.1 * SECOND_NS
         assert viewer.sound[-1].end_ns < 8 * SECOND_NS, "some seconds ahead of the picture, and no more"
+
+
+@pytest.mark.long
+def test_sound_goes_on_between_pictures_that_are_far_apart(tmp_path: Path) -> None:
+    """Who plays the past of a slow machine hears it without pauses, and not all of it at once."""
+    sparse = make_clip(tmp_path / "sparse.slod", 3, frame_ns=6 * SECOND_NS)
+    with running(Settings(), StreamSpec(play=sparse.path)) as server, viewing(server) as viewer:
+        hear(server, pieces(20.0))
+        viewer.hello(sound=True).until_version(1)
+        viewer.sound.clear()
+        viewer.send(type="seek", to={"epoch": 1, "version": 0})
+        viewer.until("position")
+        viewer.until_heard(3 * SECOND_NS)
+        viewer.until("window")
+        assert viewer.sound[-1].end_ns < 5 * SECOND_NS
+        viewer.until_heard(int(5.9 * SECOND_NS))
+        assert viewer.decoder.versions[0] == 0, "before the next picture"
 
 
 def test_sound_is_served_by_time(server: Running, tmp_path: Path) -> None:
