@@ -93,7 +93,7 @@ def adjust(
     columns = np.flatnonzero(free)
     mean, deviation = _priors(sizes)
     first = count * _PER_CAMERA
-    unfolded = unfolded_lenses(scene.lenses, sizes, _PER_CAMERA, len(start))
+    unfolded = unfolded_lenses(scene.lenses, sizes, _PER_CAMERA).only(free[:first])
 
     def full(values: Float64) -> Float64:
         whole = start.copy()
@@ -104,7 +104,7 @@ def adjust(
         whole = full(values)
         held = (whole[:first].reshape(count, -1) - mean) / deviation * _NOISE
         aspect = (whole[:first:_PER_CAMERA] - whole[1:first:_PER_CAMERA]) / (deviation[:, 0] * _ASPECT) * _NOISE
-        parts = weights.of_misses(misses_of(_scene(whole, count), seen)), held, aspect, unfolded.misses(whole)
+        parts = weights.of_misses(misses_of(_scene(whole, count), seen)), held, aspect
         return np.concatenate([part.ravel() for part in parts])
 
     def slopes(values: Float64) -> csr_matrix:
@@ -115,11 +115,11 @@ def adjust(
         weight = _NOISE / (deviation[:, 0] * _ASPECT)
         rows, places = np.tile(np.arange(count), 2), np.concatenate([each, each + 1])
         aspect = csr_matrix((np.concatenate([weight, -weight]), (rows, places)), (count, len(start)))
-        return vstack([jacobian, held, aspect, unfolded.slopes(whole)]).tocsr()[:, columns]
+        return vstack([jacobian, held, aspect]).tocsr()[:, columns]
 
-    scale = np.full(len(residuals(start[columns])), np.inf)  # of priors and bounds
+    scale = np.full(len(residuals(start[columns])), np.inf)  # of priors
     scale[: 2 * len(seen.camera)] = min(_ROBUST * uneven.noise, _FARTHEST)
-    found = minimise(start[columns], residuals, slopes, scale, len(scene.boards))
+    found = minimise(start[columns], residuals, slopes, scale, len(scene.boards), unfolded)
     best = _scene(full(found.values), count)
     misses = weights.of_misses(misses_of(best, seen))
     places = (np.arange(count)[:, None] * _PER_CAMERA + np.arange(9, 15)).ravel()

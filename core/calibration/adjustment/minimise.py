@@ -9,18 +9,20 @@ exchange.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_matrix, diags
 
 from streamlod.core.arrays import Float64
+from streamlod.core.calibration.adjustment.bounds import LinearBounds
 
 BLOCK = 6  # values of a board
 _MAX_ROUNDS = 100
 _SETTLED = 1e-7  # relative gain of a round
 _MAX_DAMPING = 1e8
+_HELD = 1e8  # weight of the bounds that were reached, in the certainty of what was found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +31,7 @@ class Minimum:
 
     Attributes:
         values: [P] where it lies.
-        normal: the normal equations there.
+        normal: the normal equations there, in which bounds that were reached count like certain observations.
         residuals, weights: [R] what is left, and how much each counts.
         slopes: [R,P] derivatives of the residuals.
     """
@@ -61,14 +63,19 @@ class Normal:
         flat = self.mixed.reshape(len(self.first), -1)
         return self.first - ratio.reshape(len(self.first), -1) @ flat.T, ratio
 
-    def solve(self, gradient: Float64) -> Float64:
-        """[P] x of N x = gradient."""
+    def step(self, gradient: Float64, first: Float64, bounds: LinearBounds) -> Float64:
+        """The move x [P] within the bounds on the `first` values [A] for which x^T (N x / 2 + gradient) is least."""
         count = len(self.first)
         schur, ratio = self.reduced()
-        boards = gradient[count:].reshape(-1, BLOCK)
-        first = cho_solve(cho_factor(schur), gradient[:count] - np.einsum("ank,nk->a", ratio, boards))
-        rest = boards - np.einsum("anj,a->nj", self.mixed, first)
-        return np.concatenate([first, np.linalg.solve(self.boards, rest[..., None]).ravel()])
+        boards = -gradient[count:].reshape(-1, BLOCK)
+        free = cho_solve(cho_factor(schur), -gradient[:count] - np.einsum("ank,nk->a", ratio, boards))
+        move = bounds.nearest(first, free, schur)
+        rest = boards - np.einsum("anj,a->nj", self.mixed, move)
+        return np.concatenate([move, np.linalg.solve(self.boards, rest[..., None]).ravel()])
+
+    def held(self, rows: Float64) -> Normal:
+        """The same where values stay on the bounds with these rows [Q,A]."""
+        return replace(self, first=self.first + _HELD * rows.T @ rows)
 
 
 def minimise(
@@ -77,21 +84,25 @@ def minimise(
     jacobian: Callable[[Float64], csr_matrix],
     scale: Float64,
     boards: int,
+    bounds: LinearBounds,
 ) -> Minimum:
-    """The nearest minimum of the sum over residuals r of scale^2 (sqrt(1 + (r / scale)^2) - 1), the pseudo-Huber loss.
+    """The nearest minimum within bounds of the sum over residuals r of scale^2 (sqrt(1 + (r / scale)^2) - 1), the pseudo-Huber loss.
 
     Args:
         start: [P] values, at the end of which the boards stand, `BLOCK` each.
         scale: [R] residuals beyond it count by their size, not by its square; infinite where the square always counts.
+        bounds: on the first values.
     """
-    values, damping, settled = start, 1e-4, 0
+    first = len(start) - boards * BLOCK
+    values = np.concatenate([bounds.within(start[:first]), start[first:]])
+    damping, settled = 1e-4, 0
     rest, slopes = residuals(values), jacobian(values)
     cost = _cost(rest, scale)
     for _ in range(_MAX_ROUNDS):
         normal, gradient = _normal(slopes, rest, scale, boards)
         while damping < _MAX_DAMPING:
             try:
-                tried = values - normal.damped(damping).solve(gradient)
+                tried = values + normal.damped(damping).step(gradient, values[:first], bounds)
             except np.linalg.LinAlgError:  # far from a minimum, rounding may leave it indefinite
                 damping *= 8
                 continue
@@ -108,6 +119,7 @@ def minimise(
         if settled == 2:
             break
     normal, _ = _normal(slopes, rest, scale, boards)
+    normal = normal.held(bounds.reached(values[:first]))
     return Minimum(values, normal, rest, _weights(rest, scale), slopes)
 
 
