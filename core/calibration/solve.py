@@ -9,7 +9,7 @@ import numpy as np
 
 from streamlod.core.arrays import Bool, Float64
 from streamlod.core.calibration.adjustment import rigid
-from streamlod.core.calibration.adjustment.adjust import Adjusted, AdjustedRig, adjust, misses_of, spread
+from streamlod.core.calibration.adjustment.adjust import Adjusted, AdjustedRig, adjust, misses_of
 from streamlod.core.calibration.adjustment.observations import Observations, observed
 from streamlod.core.calibration.adjustment.projection import matrix_of
 from streamlod.core.calibration.adjustment.timing import UnevenTimes, uneven_times
@@ -26,7 +26,9 @@ from streamlod.core.calibration.world import find_floor
 from streamlod.core.camera import Camera
 from streamlod.core.data.lens import opencv_camera
 
-_ROUNDS = 2  # after the first: outliers left out, and curves about the pictures nearest by the offsets found
+_MAX_ROUNDS = 6  # after the first: outliers left out, and curves about the pictures nearest by the offsets found
+_WEIGHED = 2  # first of these, in which it is measured how uneven times are: in more, one camera's would count alone
+_SETTLED = 0.01  # of the period between pictures, by which no offset changes any more
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,13 +107,17 @@ def _adjusted(
     corners = observed(tracks, times, scene.offsets, board.corners)
     found = adjust(scene, corners, sizes, root, lenses_known=fixed)
     check_agreement(names, corners, found.misses)
-    for _ in range(_ROUNDS):
+    for number in range(_MAX_ROUNDS):
+        before = found.scene.offsets
         corners = observed(tracks, times, found.scene.offsets, board.corners)
         misses = misses_of(found.scene, corners)
-        uneven = uneven_times(corners, misses, len(tracks))
+        if number < _WEIGHED:
+            uneven = uneven_times(corners, misses, len(tracks))
         at_start = uneven.weights(corners).of_misses(misses)
-        corners = corners.kept(near_enough(at_start, spread(at_start)))
+        corners = corners.kept(near_enough(at_start, corners.camera))
         found = adjust(found.scene, corners, sizes, root, lenses_known=fixed, uneven=uneven)
+        if np.abs(found.scene.offsets - before).max() < _SETTLED * min(track.period for track in tracks):
+            break
     return found, corners, uneven
 
 

@@ -1,8 +1,13 @@
-"""First time offsets of cameras: the board's speed in space, which all cameras see alike wherever they stand."""
+"""First time offsets of cameras: the board's path in space, which all cameras see alike wherever they stand.
+
+For each offset of two clocks, one camera's path is turned and moved onto the other's (Kabsch, A solution for the best
+rotation to relate two sets of vectors, 1976). They lie closest at the true one.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -13,24 +18,47 @@ from streamlod.core.calibration.graph import board_poses
 from streamlod.core.calibration.track import Track
 
 _MIN_OVERLAP_S = 2.0
-_MIN_SAMPLES = 20
-_SPAN_S = 0.2  # over which a speed is measured
-_LASTING_S = 0.4  # seconds after which a walking person's speed is a new one
-_CERTAIN = 5.0  # of the score of two speeds that are the same; the best of many by chance has about 4
-_BETTER = 1.3  # times the score of no offset at all
+_MIN_SAMPLES = 12
+_STEP_S = 0.08  # between offsets that are tried first, in which a walking person comes a few centimetres far
+_FINE_S = 0.01
+_LASTING_S = 0.4  # seconds after which a walking person is elsewhere
+_MAX_SAMPLES = 300  # of a path
+_GAP = 1.6  # periods: pictures that are farther apart leave open where the board was between them
+_ROUNDS = 3  # of an alignment, in which what lies far off counts less and less
+_NEAR_S = 1.0  # clocks so near to each other are tried first
+_SURELY, _FAR_SCORE = 1.8, 6.0  # by what others must agree to be taken: chance has 1.2, and more in few seconds alone
+_CERTAIN = 4.0  # least score of any
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Path:
+    """Where a camera saw the board's centre: times [K] by its clock, and places [K,3] in its axes, in metres."""
+
+    times: Float64
+    places: Float64
+    period: float
+
+    def at(self, times: Float64) -> Float64:
+        """[N,3] places at `times` [N]; NaN where no pictures are near."""
+        after = np.clip(np.searchsorted(self.times, times), 1, len(self.times) - 1)
+        gap = self.times[after] - self.times[after - 1]
+        part = (times - self.times[after - 1]) / gap
+        found = self.places[after - 1] + part[:, None] * (self.places[after] - self.places[after - 1])
+        found[(gap > _GAP * self.period) | (part < 0) | (part > 1)] = np.nan
+        return found
 
 
 def first_offsets(tracks: Sequence[Track], lenses: Float64, board: Float64, centre: Float64) -> Float64:
-    """[C] seconds that lead from each camera's clock to that of one of them; 0 where speeds do not tell.
+    """[C] seconds that lead from each camera's clock to that of one of them; 0 where paths do not tell.
 
     Pairs are joined from the most certain one on.
 
     Args:
         lenses: [C,9]. board: [J,3] corners. centre: [3] of the board, in metres.
     """
-    period = min(track.period for track in tracks)
-    speeds = [_speeds(track, lens, board, centre, period) for track, lens in zip(tracks, lenses, strict=True)]
-    edges = sorted(((*_lag(*speeds[a], *speeds[b], period), a, b) for a, b in _pairs(len(tracks))), reverse=True)
+    paths = [_path(track, lens, board, centre) for track, lens in zip(tracks, lenses, strict=True)]
+    pairs = combinations(range(len(tracks)), 2)
+    edges = sorted(((*_lag(paths[a], paths[b]), a, b) for a, b in pairs), reverse=True)
     offsets: dict[int, float] = {0: 0.0}
     while len(offsets) < len(tracks):
         way = next(((lag, a, b) for _, lag, a, b in edges if (a in offsets) != (b in offsets)), None)
@@ -44,59 +72,55 @@ def first_offsets(tracks: Sequence[Track], lenses: Float64, board: Float64, cent
     return np.array([offsets.get(number, 0.0) for number in range(len(tracks))])
 
 
-def _pairs(count: int) -> list[tuple[int, int]]:
-    return list(combinations(range(count), 2))
-
-
-def _speeds(track: Track, lens: Float64, board: Float64, centre: Float64, period: float) -> tuple[float, Float64]:
-    """(first time, [2,S] logarithms of metres and of radians a second on a grid of `period`), NaN where not known."""
+def _path(track: Track, lens: Float64, board: Float64, centre: Float64) -> _Path:
     poses = board_poses(track.corners, lens, board)
-    places = rigid.after(poses, np.concatenate([np.zeros(3), centre]))[:, 3:]
-    apart = max(2, round(_SPAN_S / track.period))  # pictures: those of a fast camera lie too near to tell a speed
-    steps = track.times[apart:] - track.times[:-apart]
-    metres = np.linalg.norm(places[apart:] - places[:-apart], axis=1) / steps
-    radians = np.radians(rigid.angles(poses[:-apart], poses[apart:])) / steps
-    known = (steps < (apart + 3) * track.period) & np.isfinite(metres)
-    count = int((track.times[-1] - track.times[0]) / period) + 1
-    grid = track.times[0] + period * np.arange(count)
-    found = np.full((2, count), np.nan)
-    if known.sum() >= _MIN_SAMPLES:
-        times = ((track.times[apart:] + track.times[:-apart]) / 2)[known]
-        place = np.clip(np.searchsorted(times, grid), 1, len(times) - 1)
-        inside = np.maximum(np.abs(grid - times[place - 1]), np.abs(times[place] - grid)) < 2.5 * track.period
-        for row, values in enumerate((metres[known] + 0.02, radians[known] + 0.05)):  # of a still board: noise
-            found[row] = np.where(inside, np.interp(grid, times, np.log(values)), np.nan)
-    return float(track.times[0]), found
+    known = np.isfinite(poses[:, 0])
+    places = rigid.after(poses[known], np.concatenate([np.zeros(3), centre]))[:, 3:]
+    return _Path(track.times[known], places, track.period)
 
 
-def _lag(first_a: float, a: Float64, first_b: float, b: Float64, period: float) -> tuple[float, float]:
-    """(score, seconds to add to the clock of b) at which the speeds of two cameras agree best.
-
-    The score is Fisher's z of the correlation, in standard deviations of chance.
-    """
-    least = max(_MIN_SAMPLES, int(_MIN_OVERLAP_S / period))
-    shifts = np.arange(-b.shape[1] + least, a.shape[1] - least + 1)
-    scores = np.array([_score(a, b, int(shift), least) for shift in shifts]) if len(shifts) else np.zeros(0)
-    scores *= np.sqrt(min(1.0, period / _LASTING_S))
-    if not len(scores) or scores.max() <= _CERTAIN:
+def _lag(a: _Path, b: _Path) -> tuple[float, float]:
+    """(score, seconds to add to the clock of b) at which two paths lie closest."""
+    if min(len(a.times), len(b.times)) < _MIN_SAMPLES:
         return 0.0, 0.0
-    lags = shifts * period + first_a - first_b
-    best = int(scores.argmax())
-    still = int(np.abs(lags).argmin())
-    if abs(lags[still]) <= period and scores[best] < _BETTER * scores[still]:
-        return float(scores[still]), 0.0
-    return float(scores[best]), float(lags[best])
+    some = slice(None, None, -(-len(a.times) // _MAX_SAMPLES))
+    a = _Path(a.times[some], a.places[some], a.period)
+    best = max(_score(a, b, lag, 1) for lag in np.arange(-_NEAR_S, _NEAR_S + _STEP_S, _STEP_S))
+    if best.closer < _SURELY:
+        first, last = a.times[0] - b.times[-1] + _MIN_OVERLAP_S, a.times[-1] - b.times[0] - _MIN_OVERLAP_S
+        far = [_score(a, b, lag, 1) for lag in np.arange(np.ceil(first / _STEP_S), last / _STEP_S) * _STEP_S]
+        best = max((each for each in far if each.value > _FAR_SCORE and each.closer > _SURELY), default=best)
+    found = max(_score(a, b, lag, _ROUNDS) for lag in best.lag + np.arange(-_STEP_S, _STEP_S, _FINE_S))
+    return (found.value, found.lag) if found.value > _CERTAIN else (0.0, 0.0)
 
 
-def _score(a: Float64, b: Float64, shift: int, least: int) -> float:
-    """The score of b[t] beside a[t + shift]."""
-    begin, end = max(0, shift), min(a.shape[1], b.shape[1] + shift)
-    one, other = a[:, begin:end], b[:, begin - shift : end - shift]
-    known = np.isfinite(one[0]) & np.isfinite(other[0])
-    if known.sum() < least:
-        return 0.0
-    one, other = one[:, known], other[:, known]
-    one, other = one - one.mean(axis=1, keepdims=True), other - other.mean(axis=1, keepdims=True)
-    power = np.sqrt((one**2).sum(axis=1) * (other**2).sum(axis=1))
-    correlation = float(((one * other).sum(axis=1) / np.maximum(power, 1e-12)).mean())
-    return float(np.arctanh(np.clip(correlation, 0, 0.999)) * np.sqrt(known.sum()))
+@dataclass(frozen=True, slots=True, order=True)
+class _Score:
+    """How well two paths agree at a `lag` in seconds: `closer` by what they lie `_alike`, `value` also by how long."""
+
+    value: float
+    closer: float
+    lag: float
+
+
+def _score(a: _Path, b: _Path, lag: float, rounds: int) -> _Score:
+    other = b.at(a.times - lag)
+    known = np.isfinite(other[:, 0])
+    seconds = float(known.sum()) * min(_LASTING_S, float(np.median(np.diff(a.times))))
+    if known.sum() < _MIN_SAMPLES or seconds < _MIN_OVERLAP_S:
+        return _Score(0.0, 0.0, float(lag))
+    closer = _alike(a.places[known], other[known], rounds)
+    return _Score(closer * float(np.sqrt(seconds / _LASTING_S)), closer, float(lag))
+
+
+def _alike(one: Float64, other: Float64, rounds: int) -> float:
+    """How many times closer than their own extent two paths [N,3] lie, a logarithm."""
+    weights = np.ones((len(one), 1))
+    for _ in range(rounds):
+        a, b = (each - (weights * each).sum(axis=0) / weights.sum() for each in (one, other))
+        left, _, right = np.linalg.svd((weights * b).T @ a)
+        turn = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
+        away = np.linalg.norm(a - b @ turn, axis=1, keepdims=True)
+        typical = max(1e-4, float(np.median(away)))
+        weights = 1 / (1 + (away / (2 * typical)) ** 2)
+    return float(np.log(max(1e-4, float(np.median(np.linalg.norm(a, axis=1)))) / typical))

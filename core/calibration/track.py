@@ -22,12 +22,15 @@ class CornerCurve:
     Attributes:
         picture_time: [N] seconds by the camera's clock; t counts from there.
         value, slope, bend: [N,J,2] pixels, pixels a second, and half the acceleration; NaN where not known.
+        neighbours: [N,J,2] one over the seconds to the pictures before and behind through which the curve goes, 0 where
+            it goes through none.
     """
 
     picture_time: Float64
     value: Float64
     slope: Float64
     bend: Float64
+    neighbours: Float64
 
     def at(self, times: Float64) -> Float64:
         """[N,J,2] pixels at `times` [N] by the camera's clock."""
@@ -88,7 +91,8 @@ class Track:
         away = (np.abs(times - self.times[nearest]) / self.period)[:, None, None]
         reach = np.where(np.isfinite(back) & np.isfinite(ahead), 1.0, np.where(alone, _STILL, _STRAIGHT))
         unusable = away > reach
-        return CornerCurve(self.times[nearest], np.where(unusable, np.nan, here), slope, bend)
+        rates = [np.where(np.isfinite(b[..., 0]), 1 / s[:, None], 0.0) for b, s in ((back, h), (ahead, k))]
+        return CornerCurve(self.times[nearest], np.where(unusable, np.nan, here), slope, bend, np.stack(rates, axis=-1))
 
     def _neighbour(self, rows: Int64, step: int) -> tuple[Float64, Float64]:
         """[N,J,2] corners so many pictures before or after, and [N] seconds between."""

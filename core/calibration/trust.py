@@ -6,14 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from streamlod.core.arrays import Bool, Float64
+from streamlod.core.arrays import Bool, Float64, Int64
 from streamlod.core.calibration.adjustment import rigid
-from streamlod.core.calibration.adjustment.adjust import Adjusted
+from streamlod.core.calibration.adjustment.adjust import Adjusted, spread
 from streamlod.core.calibration.adjustment.observations import Observations
 from streamlod.core.camera import Camera
 from streamlod.core.data.lens import undistorted_camera
 from streamlod.core.errors import InputError
 
+_OUTLIER, _SCATTERS = 1.5, 5.0  # pixels, and times the camera's scatter, from which a corner is an outlier
 _FAR = 6.0  # pixels, of a corner that is not where the other cameras say
 _MOST_FAR = 0.3  # part of a camera's corners
 _MOVED, _MOST_OFF = 6, 0.75  # instants at an end of what a camera saw, and part of them whose corners are far
@@ -21,9 +22,16 @@ _MAX_DEGREES, _MAX_PART = 3.0, 0.05  # standard errors: of the direction, and of
 _MAX_RMS = 3.0  # pixels
 
 
-def near_enough(misses: Float64, spread: float) -> Bool:
-    """[N] the corners that are no outliers, which a marker read wrongly or blur makes."""
-    return np.asarray(np.linalg.norm(misses, axis=1) < max(1.5, 5 * spread), np.bool_)
+def near_enough(misses: Float64, cameras: Int64) -> Bool:
+    """[N] the corners of `cameras` [N] that are no outliers, which a marker read wrongly or blur makes.
+
+    Each camera has a scatter of its own: corners between the pictures of a slow one are known less well.
+    """
+    distances, most = np.linalg.norm(misses, axis=1), np.full(len(misses), _OUTLIER)
+    for number in np.unique(cameras):
+        mine = cameras == number
+        most[mine] = max(_OUTLIER, _SCATTERS * spread(misses[mine]))
+    return np.asarray(distances < most, np.bool_)
 
 
 def check_agreement(names: Sequence[str], seen: Observations, misses: Float64) -> None:

@@ -18,7 +18,7 @@ from streamlod.core.arrays import Bool, Float64
 from streamlod.core.calibration.adjustment import rigid
 from streamlod.core.calibration.adjustment.certainty import standard_errors
 from streamlod.core.calibration.adjustment.minimise import minimise
-from streamlod.core.calibration.adjustment.observations import Observations
+from streamlod.core.calibration.adjustment.observations import Observations, curve_noise
 from streamlod.core.calibration.adjustment.projection import projected
 from streamlod.core.calibration.adjustment.timing import UnevenTimes
 from streamlod.core.calibration.adjustment.unfolded import unfolded_lenses
@@ -161,26 +161,44 @@ def _scene(values: Float64, count: int) -> AdjustedRig:
     return AdjustedRig(cameras[:, :9], cameras[:, 9:15], cameras[:, _CLOCK], cameras[:, _READOUTS], boards)
 
 
-def _curve(scene: AdjustedRig, seen: Observations) -> tuple[Float64, Float64]:
-    """[N,2] corners by the cameras' curves, and [N,2,3] their derivatives by the offsets and readouts.
+@dataclass(frozen=True, slots=True, eq=False)
+class _OnCurves:
+    """Corners on the cameras' curves, N of them.
 
     A curve gives the corner in a picture taken t seconds after the nearest one. The corner itself is captured
     readouts . place later than the picture's middle, so the t is wanted at which both add up to the time since.
+
+    Attributes:
+        at: [N,2] pixels. speed: [N,2] pixels a second.
+        noise: [N,1] their noise, as a part of that in a picture. growth: [N,1] of it, a second.
+        by_clock: [N,3] derivatives of t by the camera's offset and readouts.
     """
+
+    at: Float64
+    speed: Float64
+    noise: Float64
+    growth: Float64
+    by_clock: Float64
+
+
+def _on_curves(scene: AdjustedRig, seen: Observations) -> _OnCurves:
     readouts = scene.readouts[seen.camera]
     place = seen.value / seen.extent - 0.5
     pace = 1 + (readouts * seen.slope / seen.extent).sum(axis=1)
     t = ((seen.since - scene.offsets[seen.camera] - (readouts * place).sum(axis=1)) / pace)[:, None]
     by_readout = place + t * seen.slope / seen.extent
     by_clock = -np.concatenate([np.ones_like(t), by_readout], axis=1) / pace[:, None]
-    speed = seen.slope + 2 * t * seen.bend
-    return seen.value + t * (seen.slope + t * seen.bend), speed[:, :, None] * by_clock[:, None]
+    at, speed = seen.value + t * (seen.slope + t * seen.bend), seen.slope + 2 * t * seen.bend
+    return _OnCurves(at, speed, *curve_noise(t[:, 0], seen.neighbours), by_clock)
 
 
 def misses_of(scene: AdjustedRig, seen: Observations) -> Float64:
-    """[N,2] pixels by which the scene's projections miss the corners."""
-    _, moved = _turned(scene, seen)
-    return projected(scene.lenses[seen.camera], moved)[0] - _curve(scene, seen)[0]
+    """[N,2] pixels by which the scene's projections miss the corners, in parts of the corners' noise on their curves.
+
+    Between pictures a curve has less noise than at them. Were that left out, clocks would drift to where it has least.
+    """
+    curves = _on_curves(scene, seen)
+    return (projected(scene.lenses[seen.camera], _turned(scene, seen)[1])[0] - curves.at) / curves.noise
 
 
 def _turned(scene: AdjustedRig, seen: Observations) -> tuple[tuple[Float64, Float64], Float64]:
@@ -194,14 +212,16 @@ def _turned(scene: AdjustedRig, seen: Observations) -> tuple[tuple[Float64, Floa
 def _jacobian(scene: AdjustedRig, seen: Observations, width: int) -> csr_matrix:
     """[2N,width] derivatives of the residuals by all values in the order of `_flat`."""
     (by_board, by_camera), moved = _turned(scene, seen)
-    _, by_point, by_lens = projected(scene.lenses[seen.camera], moved)
+    pixels, by_point, by_lens = projected(scene.lenses[seen.camera], moved)
+    curves = _on_curves(scene, seen)
     camera_turn = -rigid.cross_matrices(by_camera) @ rigid.left_jacobians(scene.cameras[:, :3])[seen.camera]
     by_world = by_point @ rigid.rotations(scene.cameras[:, :3])[seen.camera]
     board_turn = -rigid.cross_matrices(by_board) @ rigid.left_jacobians(scene.boards[:, :3])[seen.instant]
-    by_time = -_curve(scene, seen)[1]
-    values = np.concatenate(
-        [by_lens, by_point @ camera_turn, by_point, by_time, by_world @ board_turn, by_world], axis=2
+    by_time = (
+        -(curves.speed + (pixels - curves.at) * curves.growth / curves.noise)[:, :, None] * curves.by_clock[:, None]
     )
+    parts = [by_lens, by_point @ camera_turn, by_point, by_time, by_world @ board_turn, by_world]
+    values = np.concatenate(parts, axis=2) / curves.noise[:, :, None]
     first = len(scene.cameras) * _PER_CAMERA
     places = np.concatenate(
         [

@@ -62,4 +62,5 @@ class LinearBounds:
         system = np.vstack([normals / lengths, far / far.max()])  # in units of the farthest, or rounding decides
         target = np.append(np.zeros(len(move)), 1.0)
         rest = system @ nnls(system, target)[0] - target
-        return move + solve_triangular(lower, -rest[:-1] / rest[-1] * far.max(), lower=True, trans=1)
+        aside: Float64 = solve_triangular(lower, -rest[:-1] / rest[-1] * far.max(), lower=True, trans=1)
+        return move + aside

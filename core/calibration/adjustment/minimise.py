@@ -86,7 +86,8 @@ def minimise(
     boards: int,
     bounds: LinearBounds,
 ) -> Minimum:
-    """The nearest minimum within bounds of the sum over residuals r of scale^2 (sqrt(1 + (r / scale)^2) - 1), the pseudo-Huber loss.
+    """The nearest minimum within bounds of the sum over residuals r of scale^2 (sqrt(1 + (r / scale)^2) - 1), which is
+    the pseudo-Huber loss.
 
     Args:
         start: [P] values, at the end of which the boards stand, `BLOCK` each.

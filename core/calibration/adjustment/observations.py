@@ -18,7 +18,7 @@ class Observations:
     Attributes:
         camera, instant: [N] numbers.
         point: [N,3] of the board, metres.
-        value, slope, bend: [N,2] the camera's curve of the corner, see `track.CornerCurve`.
+        value, slope, bend, neighbours: [N,2] the camera's curve of the corner, see `track.CornerCurve`.
         extent: [N,2] width and height of the camera's picture.
         since: [N] seconds from the curve's picture to the instant, by the common time.
     """
@@ -29,6 +29,7 @@ class Observations:
     value: Float64
     slope: Float64
     bend: Float64
+    neighbours: Float64
     extent: Float64
     since: Float64
 
@@ -45,7 +46,38 @@ def observed(tracks: Sequence[Track], times: Float64, offsets: Float64, board: F
         instant, corner = np.nonzero(np.isfinite(curve.value[..., 0]))
         camera = np.full(len(instant), number)
         since = (times - curve.picture_time)[instant]
-        rows = [values[instant, corner] for values in (curve.value, curve.slope, curve.bend)]
+        rows = [values[instant, corner] for values in (curve.value, curve.slope, curve.bend, curve.neighbours)]
         rows.append(np.tile(np.array(track.size, np.float64), (len(instant), 1)))
         parts.append((camera, instant, board[corner], *rows, since))
     return Observations(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def curve_noise(t: Float64, neighbours: Float64) -> tuple[Float64, Float64]:
+    """[N,1] noise of corners on their curves, in parts of the noise in a picture; and [N,1] its growth, a second.
+
+    By Lagrange's formula a curve is the sum of three pictures' corners, whose weights depend on t. Beyond these
+    pictures the noise counts as one picture's.
+
+    Args:
+        t: [N] seconds from the nearest picture. neighbours: [N,2] of the curves, see `Observations`.
+    """
+    before, behind = neighbours.T
+    share = before / np.maximum(before + behind, 1e-9)
+    weights = np.stack(
+        [
+            -t * before * (1 - t * behind) * share,
+            (1 + t * before) * (1 - t * behind),
+            t * behind * (1 + t * before) * (1 - share),
+        ]
+    )
+    growths = np.stack(
+        [
+            -before * (1 - 2 * t * behind) * share,
+            before - behind - 2 * t * before * behind,
+            behind * (1 + 2 * t * before) * (1 - share),
+        ]
+    )
+    noise = np.linalg.norm(weights, axis=0)
+    growth = (weights * growths).sum(axis=0) / noise
+    inside = noise < 1
+    return np.where(inside, noise, 1.0)[:, None], np.where(inside, growth, 0.0)[:, None]

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import pytest
+from scipy.optimize import minimize
+from scipy.sparse import csr_matrix
 
+from streamlod.core.arrays import Float64
 from streamlod.core.calibration.adjustment import adjust as bundle
 from streamlod.core.calibration.adjustment import rigid
-from streamlod.core.calibration.adjustment.observations import observed
+from streamlod.core.calibration.adjustment.bounds import LinearBounds
+from streamlod.core.calibration.adjustment.minimise import minimise
+from streamlod.core.calibration.adjustment.observations import curve_noise, observed
 from streamlod.core.calibration.adjustment.projection import matrix_of, projected
 from streamlod.core.calibration.adjustment.unfolded import unfolded_lenses
 from streamlod.core.calibration.track import Track
@@ -85,16 +91,51 @@ def test_curves_between_pictures_of_a_fast_camera_are_as_noisy_as_at_them() -> N
     assert scatter[1] / scatter[0] > 0.93
 
 
+@pytest.mark.parametrize("lost", [(), (9,), (11,)], ids=["both neighbours", "none before", "none behind"])
+def test_noise_of_curves_is_known(lost: tuple[int, ...]) -> None:
+    times = np.arange(20) / 10
+    corners = np.random.default_rng(0).normal(0, 0.3, (20, 5000, 2))
+    corners[list(lost)] = np.nan
+    track = Track("a", (100, 100), times, corners)
+    for late in (-0.009, 0.0, 0.004, 0.03, -0.04)[: 3 if lost else 5]:
+        curve = track.near(times[10:11] + late)
+        noise, growth = curve_noise(np.array([late]), curve.neighbours[:, 0])
+        if noise < 1:  # what goes on beyond its pictures counts as one of them
+            assert np.nanstd(curve.at(times[10:11] + late)) / 0.3 == pytest.approx(noise.item(), abs=0.02)
+            longer, _ = curve_noise(np.array([late + 1e-6]), curve.neighbours[:, 0])
+            assert (longer - noise).item() == pytest.approx(1e-6 * growth.item(), rel=1e-3)
+
+
 def test_bounds_of_lenses_hold_back_those_that_fold_and_no_others() -> None:
     sizes = [(640, 480), (1280, 720)]
     sound = np.array([LENS, [903.5, 907.9, 618.3, 394.2, -0.332, 0.046, -0.004, 0.004, 0.067]])
     folding = sound.copy()
     folding[:, 4:] = [-0.5, 0.0, 0.0, 0.0, 0.0]
-    bounds = unfolded_lenses(sound, sizes, 9, 18)
-    assert bounds.misses(sound.ravel()).max() == 0
-    assert bounds.misses(folding.ravel()).reshape(2, -1).max(axis=1).min() > 0
-    slopes = bounds.slopes(folding.ravel()).toarray()
-    for place in range(18):
-        step = 1e-6 * np.eye(18)[place]
-        after, before = (bounds.misses(folding.ravel() + sign * step) for sign in (1, -1))
-        np.testing.assert_allclose(slopes[:, place], (after - before) / 2e-6, atol=1e-3)
+    bounds = unfolded_lenses(sound, sizes, 9)
+    assert (bounds.rows @ sound.ravel() >= bounds.least).all()
+    assert (bounds.rows @ folding.ravel() < bounds.least).reshape(2, -1).any(axis=1).all()
+    mended = bounds.within(folding.ravel())
+    assert (bounds.rows @ mended >= bounds.least - 1e-9).all()
+    np.testing.assert_array_equal(bounds.within(sound.ravel()), sound.ravel())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_search_ends_at_the_least_cost_within_bounds(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    slopes, wanted = random.normal(0, 1, (30, 10)), random.normal(0, 1, 30)
+    slopes[:, 0] *= 1e3  # values of other units
+    rows = random.normal(0, 1, (8, 4)) / [1e-3, 1, 1, 1]
+    bounds = LinearBounds(rows, random.uniform(-0.3, -0.01, 8))
+    start = random.normal(0, 1, 10)  # outside of some
+
+    def residuals(values: Float64) -> Float64:
+        return np.asarray(slopes @ values - wanted, np.float64)
+
+    found = minimise(start, residuals, lambda _: csr_matrix(slopes), np.full(30, np.inf), 1, bounds)
+    free = np.linalg.lstsq(slopes, wanted, rcond=None)[0]
+    units = np.array([1e-3, *np.ones(9)])
+    inside = {"type": "ineq", "fun": lambda x: rows @ (x * units)[:4] - bounds.least}
+    best = minimize(lambda x: (residuals(x * units) ** 2).sum(), free / units, constraints=[inside], tol=1e-14)
+    assert (rows @ free[:4] < bounds.least).any()
+    assert (rows @ found.values[:4] >= bounds.least - 1e-9).all()
+    assert (found.residuals**2).sum() == pytest.approx(best.fun, rel=1e-6)
