@@ -48,31 +48,26 @@ def board_at(times: Float64) -> Float64:
     )
     yaw = 0.9 * np.sin(0.37 * t + 1) + 0.2 * np.sin(1.9 * t)
     pitch, roll = 0.5 * np.sin(0.83 * t), 0.4 * np.sin(0.61 * t + 2)
-    poses = []
-    for centre, a, b, c in zip(place, yaw, pitch, roll, strict=True):
-        # the board's x to the right as seen by the cameras, its y down, its z away from them
-        facing = np.array([[0, 0, -1.0], [1.0, 0, 0], [0, -1.0, 0]])
-        turn = rigid.rotations(np.array([[0, 0, a]]))[0] @ facing @ rigid.rotations(np.array([[b, 0.5 * b, c]]))[0]
-        full = np.eye(4)
-        full[:3, :3], full[:3, 3] = turn, centre - turn @ BOARD.centre
-        poses.append(rigid.pose(full))
-    return np.array(poses)
+    zero = np.zeros_like(t)
+    # the board's x to the right as seen by the cameras, its y down, its z away from them
+    facing = rigid.pose(np.array([[0, 0, -1.0, 0], [1.0, 0, 0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]]))
+    tilt = np.stack([pitch, 0.5 * pitch, roll, zero, zero, zero], axis=1)
+    about_z = np.stack([zero, zero, yaw, *place.T], axis=1)
+    about_centre = np.concatenate([np.zeros(3), -BOARD.centre])
+    return rigid.after(about_z, rigid.after(facing, rigid.after(tilt, about_centre)))
 
 
 def corners_of(lens: Float64, pose: Float64, boards: Float64, size: tuple[int, int], board: Board = BOARD) -> Float64:
     """[K,J,2] pixels of the corners that lie inside the picture and face the camera; NaN for others."""
-    found = np.full((len(boards), board.corner_count, 2), np.nan)
     to_camera = rigid.after(pose, boards)
-    for number, each in enumerate(to_camera):
-        turn = rigid.rotations(each[:3])[0]
-        points = board.corners @ turn.T + each[3:]
-        facing = turn[:, 2] @ (points.mean(axis=0) / np.linalg.norm(points.mean(axis=0)))
-        if facing < 0.3 or points[:, 2].min() < 0.2:
-            continue
-        pixels = projected(lens, points)[0]
-        inside = ((pixels > 4) & (pixels < np.array(size) - 5)).all(axis=1)
-        found[number, inside] = pixels[inside]
-    return found
+    turns = rigid.rotations(to_camera[:, :3])
+    points = board.corners @ turns.transpose(0, 2, 1) + to_camera[:, None, 3:]
+    middles = points.mean(axis=1)
+    facing = (turns[:, :, 2] * middles).sum(axis=1) / np.linalg.norm(middles, axis=1)
+    ahead = (facing >= 0.3) & (points[..., 2].min(axis=1) >= 0.2)
+    pixels = projected(lens, points.reshape(-1, 3))[0].reshape(*points.shape[:2], 2)
+    inside = ahead[:, None] & ((pixels > 4) & (pixels < np.array(size) - 5)).all(axis=2)
+    return np.where(inside[..., None], pixels, np.nan)
 
 
 def walked(
