@@ -55,7 +55,7 @@ def test_an_inverted_board_and_one_of_old_opencv_are_recognised() -> None:
 )
 def test_another_board_is_refused(picture: UInt8, described: Board, sentence: str) -> None:
     with pytest.raises(InputError, match=sentence):
-        board_as_seen([footage_of("a", [picture] * 5)], described)
+        board_as_seen([footage_of("a", [picture] * 2)], described)
 
 
 def test_a_board_with_more_markers_is_refused(picture: UInt8) -> None:
@@ -95,7 +95,7 @@ def test_a_board_with_too_few_corners_is_refused_before_it_is_printed() -> None:
 def test_a_mirrored_board_is_named(picture: UInt8) -> None:
     mirrored = np.ascontiguousarray(picture[:, ::-1])
     with pytest.raises(InputError, match="camera front: its pictures show the board mirrored"):
-        track_of(footage_of("front", [mirrored] * 4), BOARD)
+        track_of(footage_of("front", [mirrored] * 2), BOARD)
 
 
 def test_a_mirrored_board_is_named_though_some_of_its_pictures_are_misread(picture: UInt8) -> None:

@@ -6,6 +6,7 @@ import importlib.util
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from types import ModuleType
 from typing import Any
 
@@ -23,9 +24,17 @@ from streamlod.core.synthetic import SyntheticSpec, ground_truth, open_synthetic
 
 SPEC = SyntheticSpec(cameras=4, frames=1, width=112, height=70)
 DATASET = open_synthetic(SPEC)
-FRAME = next(iter(DATASET.frames()))
-TRUTH = np.stack([ground_truth(SPEC, 0, index).depth for index in range(SPEC.cameras)])
 OWN_UNIT = 3.7  # metres per unit of what the stand-in predicts without poses
+
+
+@cache  # drawn by the first test: every process of tests reads this module
+def first_frame() -> FrameSet:
+    return next(iter(DATASET.frames()))
+
+
+@cache
+def true_depths() -> list[np.ndarray]:
+    return [ground_truth(SPEC, 0, index).depth for index in range(SPEC.cameras)]
 
 
 @dataclass
@@ -62,7 +71,7 @@ class StandIn:
         told = np.linalg.norm(poses[0, :, 3]) / OWN_UNIT if extrinsics is None else np.linalg.norm(extrinsics[0, :3, 3])
         unit = np.linalg.norm(poses[0, :, 3]) / told
         poses[:, :, 3] /= unit
-        depth = np.stack([cv2.resize(each, (width, height), interpolation=cv2.INTER_NEAREST) for each in TRUTH])
+        depth = np.stack([cv2.resize(each, (width, height), interpolation=cv2.INTER_NEAREST) for each in true_depths()])
         depth = (depth[: len(image)] / unit).astype(np.float32)
         confidence = np.random.default_rng(2).random(depth.shape).astype(np.float32) + 1
         return Prediction(depth, confidence, poses.astype(np.float32))
@@ -80,7 +89,7 @@ def stand_in(monkeypatch: pytest.MonkeyPatch) -> type[StandIn]:
 def surface_error(positions: np.ndarray) -> np.ndarray:
     """[N] the least relative distance, over the cameras, between a point's depth and the true depth there."""
     error = np.full(len(positions), np.inf)
-    for camera, truth in zip(DATASET.cameras, TRUTH, strict=True):
+    for camera, truth in zip(DATASET.cameras, true_depths(), strict=True):
         pixels, z = project(camera, positions.astype(np.float64))
         seen = inside(camera, pixels, z)
         column, row = pixels[seen].astype(int).T
@@ -92,7 +101,7 @@ def surface_error(positions: np.ndarray) -> np.ndarray:
 def test_depths_with_known_poses_become_points_on_the_surfaces(
     stand_in: type[StandIn], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    points = first_points(FRAME, DATASET.cameras, depth_bounds=None, method="depth-anything")
+    points = first_points(first_frame(), DATASET.cameras, depth_bounds=None, method="depth-anything")
     assert len(points) > 100_000
     assert (surface_error(points.positions) < 0.03).mean() > 0.9
     assert stand_in.loaded == ("depth-anything/DA3-BASE", {"local_files_only": True})
@@ -109,7 +118,7 @@ def test_depths_with_known_poses_become_points_on_the_surfaces(
 
 def test_two_cameras_are_placed_without_telling_poses(stand_in: type[StandIn]) -> None:
     present = np.array([True, True, False, False])
-    frame = FrameSet(0, 0, FRAME.images, present)
+    frame = FrameSet(0, 0, first_frame().images, present)
     points = first_points(frame, DATASET.cameras, depth_bounds=None, method="depth-anything")
     assert (surface_error(points.positions) < 0.03).mean() > 0.9
     assert stand_in.told["extrinsics"] is None
@@ -137,7 +146,7 @@ def test_poses_on_a_line_are_not_told(count: int) -> None:
 
 def test_missing_weights_are_said_in_one_sentence(stand_in: type[StandIn]) -> None:
     with pytest.raises(BackendUnavailable, match=r"model missing is not available here; .*`hf download missing`"):
-        first_points(FRAME, DATASET.cameras, depth_bounds=None, method=DepthAnythingPoints("missing"))
+        first_points(first_frame(), DATASET.cameras, depth_bounds=None, method=DepthAnythingPoints("missing"))
 
 
 @pytest.mark.parametrize(
@@ -148,4 +157,4 @@ def test_missing_packages_are_said_in_one_sentence(method: str, module: str, pac
     if importlib.util.find_spec(module) is not None:
         pytest.skip(f"{package} is installed here")
     with pytest.raises(BackendUnavailable, match=rf"{package} is not available here; install it .* or use sweep"):
-        first_points(FRAME, DATASET.cameras, depth_bounds=None, method=method)
+        first_points(first_frame(), DATASET.cameras, depth_bounds=None, method=method)
