@@ -11,11 +11,11 @@ import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from streamlod.core.calibration.solve import Calibration
+from streamlod.core.arrays import Float64
 from streamlod.core.calibration.walk import WalkFootage
 from streamlod.core.camera import Camera
 from streamlod.core.data import caliscope, transforms
@@ -25,6 +25,18 @@ from streamlod.core.files import write_text
 
 RIG = "rig.json"
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
+
+
+class CalibratedRig(Protocol):
+    """A rig as it is written, however it was calibrated; see `solve.Calibration`."""
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]: ...
+    @property
+    def offsets(self) -> Float64: ...
+    @property
+    def periods(self) -> Float64: ...
+    def rms(self, camera: int) -> float: ...
 
 
 def check_folder(folder: Path, *, overwrite: bool) -> None:
@@ -40,7 +52,7 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
         raise InputError(folder / there[0], "is there already; remove it, or give another folder with --out")
 
 
-def write_calibration(calibration: Calibration, footage: Sequence[WalkFootage], folder: Path) -> list[Path]:
+def write_calibration(calibration: CalibratedRig, footage: Sequence[WalkFootage], folder: Path) -> list[Path]:
     """Write the rig's files into `folder`, with links to the videos if these are elsewhere; returns the files."""
     files = [each.file for each in footage if each.file is not None]
     for file in files:
@@ -58,7 +70,7 @@ def write_calibration(calibration: Calibration, footage: Sequence[WalkFootage], 
     return [*written, _written(folder / RIG, json.dumps(rig, indent=1) + "\n")]
 
 
-def transforms_value(calibration: Calibration, names: Sequence[str]) -> dict[str, Any]:
+def transforms_value(calibration: CalibratedRig, names: Sequence[str]) -> dict[str, Any]:
     """The content of transforms.json for videos of these `names`."""
     frames = []
     for camera, name, offset in zip(calibration.cameras, names, calibration.offsets, strict=True):
@@ -78,7 +90,7 @@ def transforms_value(calibration: Calibration, names: Sequence[str]) -> dict[str
     return {"camera_model": "OPENCV", "frames": frames}
 
 
-def caliscope_text(calibration: Calibration) -> str:
+def caliscope_text(calibration: CalibratedRig) -> str:
     """The content of camera_array.toml; cameras are called cam_N."""
     parts = []
     for number, camera in enumerate(calibration.cameras):
@@ -92,7 +104,7 @@ def caliscope_text(calibration: Calibration) -> str:
     return "\n".join(parts)
 
 
-def rig_value(calibration: Calibration, sources: Sequence[str]) -> dict[str, Any]:
+def rig_value(calibration: CalibratedRig, sources: Sequence[str]) -> dict[str, Any]:
     """The content of a rig.json."""
     return {
         "fps": round(1 / float(np.median(calibration.periods)), 3),

@@ -51,13 +51,18 @@ def find_floor(cameras: Float64, boards: Float64, times: Float64, centre: Float6
     else:
         origin = np.median(places, axis=0)
         origin = origin + up * (heights.min() - origin @ up)
-    ahead = -_centres(cameras).mean(axis=0) + origin  # from the cameras over the floor: the world's y
+    return Floor(axes_of(cameras, up, origin), bool(lying.sum() >= 3))
+
+
+def axes_of(cameras: Float64, up: Float64, origin: Float64) -> Float64:
+    """[6] from the axes of cameras [C,6] to those of a world with this origin [3]: z up, y away from the cameras."""
+    ahead = -_centres(cameras).mean(axis=0) + origin
     ahead = ahead - up * (ahead @ up)
     if np.linalg.norm(ahead) < 1e-3:
         ahead = np.cross(up, [1.0, 0, 0]) if abs(up[0]) < 0.9 else np.cross(up, [0, 1.0, 0])
     y = ahead / np.linalg.norm(ahead)
     axes = np.stack([np.cross(y, up), y, up])
-    return Floor(np.concatenate([Rotation.from_matrix(axes).as_rotvec(), -axes @ origin]), bool(lying.sum() >= 3))
+    return np.concatenate([Rotation.from_matrix(axes).as_rotvec(), -axes @ origin])
 
 
 def up_of(cameras: Float64) -> Float64:

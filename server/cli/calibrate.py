@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from streamlod.core.calibration.walk import WalkFootage
 
 _PICTURE = "calibration.png"
-_REPORT = "calibration.txt"
+REPORT = "calibration.txt"
 
 
 def print_board(path: Path, board: str | None, square_mm: float | None) -> str:
@@ -53,16 +53,16 @@ def calibrate(
 
     described, folder = board_of(board, square_mm, data), data if out is None else out
     footage = open_walk(data)
-    known = {} if lenses is None else _known_lenses(lenses, footage)
+    known = {} if lenses is None else known_lenses(lenses, footage)
     check_folder(folder, overwrite=overwrite)
     seen = board_as_seen(footage, described)
     found = solve(_tracks(footage, seen), seen, known)
     files = write_calibration(found, footage, folder)
     board_line = f"the board has {seen.described()}, from which all lengths follow"
     report = "\n".join([table_of(found), *advice_of(found), board_line])
-    write_text(folder / _REPORT, report + "\n")
+    write_text(folder / REPORT, report + "\n")
     draw(found, folder / _PICTURE)
-    return f"{report}\n{', '.join(file.name for file in files)}, {_REPORT} and {_PICTURE} written to {folder}"
+    return f"{report}\n{', '.join(file.name for file in files)}, {REPORT} and {_PICTURE} written to {folder}"
 
 
 def _tracks(footage: Sequence[WalkFootage], board: Board) -> list[Track]:
@@ -94,7 +94,7 @@ def board_of(board: str | None, square_mm: float | None, folder: Path, *, beside
     return found if square_mm is None else replace(found, square_m=square_mm / 1000)
 
 
-def _known_lenses(folder: Path, footage: Sequence[WalkFootage]) -> dict[str, Float64]:
+def known_lenses(folder: Path, footage: Sequence[WalkFootage]) -> dict[str, Float64]:
     """Lenses by camera's name of a calibrated recording, whose pictures have the size of the walk's."""
     from streamlod.core.calibration.adjustment.projection import lens_of
     from streamlod.core.data import open_dataset

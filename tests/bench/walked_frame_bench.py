@@ -34,7 +34,7 @@ from streamlod.core.synthetic import SyntheticSpec
 from streamlod.core.train import Trainer, preset
 from streamlod.server.cli.calibrate import calibrate
 from tests.bench.moving_bench import Clip, open_clip
-from tests.bench.walk_bench import compared, walk
+from tests.bench.walk_bench import Shutter, compared, walk
 from tests.core.calibration import walks
 from tests.core.calibration.alignment import aligned
 
@@ -56,7 +56,7 @@ def walked_rig(clip: Clip, cameras: Sequence[Camera]) -> walks.Rig:
 def calibrated(folder: Path, truth: Sequence[Camera], rig: walks.Rig, seconds: float) -> list[Camera]:
     """The cameras as a walk filmed into `folder` gives them, in the world of `truth`; prints what they are off."""
     offsets: Float64 = np.random.default_rng(1).uniform(-0.5, 0.5, len(truth)) / _FPS
-    walk(folder, rig, offsets, seconds, _FPS, _BOARD)
+    walk(folder, rig, offsets, seconds, _FPS, _BOARD, Shutter(0.0, 0.0))
     print(calibrate(folder, None, None, None, None, overwrite=True))
     print(compared(folder, rig, offsets, _FPS), flush=True)
     by_name = {camera.name: camera for camera in open_dataset(folder).recording.cameras}

@@ -102,19 +102,36 @@ def calibrate(
     print_board: Annotated[
         Path | None, typer.Option(metavar="A3.pdf|.png", help="Write the board for printing, and nothing else.")
     ] = None,
+    features: Annotated[
+        bool, typer.Option("--features", help="Without a board, from what neighbouring cameras see alike.")
+    ] = False,
+    apart: Annotated[
+        str | None,
+        typer.Option(
+            metavar="CAMERA:CAMERA=METRES", help="With --features: how far apart two cameras are, lens to lens."
+        ),
+    ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier calibration.")] = False,
 ) -> None:
     """Calibrate cameras with a ChArUco board that somebody walks through the scene: lenses, poses, time offsets.
 
-    Writes what train and serve read, rig.json, a report and a picture.
+    Writes what train and serve read, rig.json, a report and a picture. With --features no board is needed, but cameras
+    that stand near each other (20 degrees), and clocks that agree.
     """
     from streamlod.server.cli.calibrate import calibrate as run
     from streamlod.server.cli.calibrate import print_board as write_board
+    from streamlod.server.cli.calibrate_features import calibrate_features
 
     if print_board is not None:
         typer.echo(write_board(print_board, board, square_mm))
     elif data is None:
         raise InputError("calibrate", "needs DATA, the folder of the videos, or --print-board FILE.pdf")
+    elif features and (board is not None or square_mm is not None):
+        raise InputError("--features", "is for footage without a board; leave --board and --square-mm out")
+    elif apart is not None and not features:
+        raise InputError("--apart", "is for --features; a board's squares tell all lengths")
+    elif features:
+        typer.echo(calibrate_features(data, out, apart, lenses, overwrite))
     else:
         typer.echo(run(data, out, board, square_mm, lenses, overwrite))
 

@@ -1,0 +1,1 @@
+"""Calibration without a board, from features that several cameras see."""

@@ -1,0 +1,107 @@
+"""From pictures of several instants to calibrated cameras.
+
+A camera that stands still is one image, whose features are those of all instants; of two cameras, only features of one
+instant are compared. So what moves tells as much as what stands, and more than one still picture a camera would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from streamlod.core.arrays import Float64
+from streamlod.core.calibration.adjustment import rigid
+from streamlod.core.calibration.checks.matches import Features
+from streamlod.core.calibration.features.mapping import MappedCamera, mapped
+from streamlod.core.calibration.walk import WalkFootage
+from streamlod.core.calibration.world import axes_of, up_of
+from streamlod.core.camera import Camera
+from streamlod.core.data.lens import opencv_camera
+
+_LOWEST = 0.02  # part of the points that may lie below the floor, being wrong
+_DISTANCE = 3.0  # units of cameras from what they see, where no length is known
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FeatureCalibration:
+    """A rig calibrated from features.
+
+    Attributes:
+        cameras: world to camera, z up, in metres where a length was known.
+        periods: [C] seconds between each camera's pictures.
+        points: [P,3] features in the world.
+        counts: [C] features that place each camera.
+        misses: [C] pixels by which they miss, root mean square.
+    """
+
+    cameras: tuple[Camera, ...]
+    periods: Float64
+    points: Float64
+    counts: tuple[int, ...]
+    misses: Float64
+
+    @property
+    def offsets(self) -> Float64:
+        """[C] seconds to add to each camera's clock: none, as features tell none."""
+        return np.zeros(len(self.cameras))
+
+    def rms(self, camera: int) -> float:
+        """Root mean square of what one camera's features miss, in pixels."""
+        return float(self.misses[camera])
+
+    def apart(self, one: str, other: str) -> float:
+        """Units between two cameras of these names."""
+        centres = {camera.name: camera.centre for camera in self.cameras}
+        return float(np.linalg.norm(centres[one] - centres[other]))
+
+    def scaled(self, factor: float) -> FeatureCalibration:
+        """The same in units that are so many times smaller."""
+        cameras = []
+        for camera in self.cameras:
+            pose = camera.world_to_camera.copy()
+            pose[:3, 3] *= factor
+            cameras.append(replace(camera, world_to_camera=pose))
+        return replace(self, cameras=tuple(cameras), points=self.points * factor)
+
+
+def calibrate_by_features(
+    footage: Sequence[WalkFootage], features: Sequence[Sequence[Features]], known: Mapping[str, Float64]
+) -> FeatureCalibration:
+    """The rig whose cameras saw `features`, a list of instants of each, z up as the cameras are held.
+
+    Lengths are in units of a third of the cameras' distance from what they see.
+
+    Args:
+        known: lenses [9] by camera that are kept.
+
+    Raises:
+        InputError: cameras that share too little with the others, named.
+        BackendUnavailable: pycolmap is missing.
+    """
+    found, points = mapped([each.camera for each in footage], [each.size for each in footage], features, known)
+    poses = np.array([camera.pose for camera in found])
+    to_world = _to_world(poses, points)
+    placed = rigid.after(poses, rigid.inverse(to_world))
+    times = [np.diff(each.times) for each in footage]
+    rig = FeatureCalibration(
+        tuple(_camera(each, camera, pose) for each, camera, pose in zip(footage, found, placed, strict=True)),
+        np.array([float(np.median(each)) if len(each) else 1.0 for each in times]),
+        points @ rigid.rotations(to_world[:3])[0].T + to_world[3:],
+        tuple(camera.count for camera in found),
+        np.array([camera.miss for camera in found]),
+    )
+    centres = np.array([camera.centre for camera in rig.cameras])
+    return rig.scaled(_DISTANCE / float(np.median(np.linalg.norm(centres - np.median(rig.points, axis=0), axis=1))))
+
+
+def _to_world(cameras: Float64, points: Float64) -> Float64:
+    """[6] to axes whose z is up, and 0 where the lowest points are."""
+    up, middle = up_of(cameras), np.median(points, axis=0)
+    lowest = float(np.quantile(points @ up, _LOWEST))
+    return axes_of(cameras, up, middle + up * (lowest - middle @ up))
+
+
+def _camera(footage: WalkFootage, found: MappedCamera, pose: Float64) -> Camera:
+    return opencv_camera(footage.camera, found.matrix, rigid.matrix(pose), footage.size, found.distortion)

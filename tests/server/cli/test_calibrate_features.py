@@ -1,0 +1,92 @@
+"""`streamlod calibrate --features`: a rendered place filmed by cameras side by side, and what cannot be calibrated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from streamlod.core.calibration.adjustment import rigid
+from streamlod.core.data import open_dataset
+from streamlod.core.errors import InputError
+from streamlod.server.cli.main import app
+from tests.core.calibration.alignment import differences
+from tests.core.data.writers import write_video_clip
+
+CAMERAS = 5
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A clip with its true cameras."""
+    folder = tmp_path_factory.mktemp("features") / "clip"
+    size = ["--size", "640x360", "--frames", "2", "--cameras", str(CAMERAS)]
+    done = CliRunner().invoke(app, ["synth", str(folder), *size])
+    assert done.exit_code == 0, done.output
+    return folder
+
+
+def calibrated(filmed: Path, folder: Path, *arguments: str) -> str:
+    """What the command prints; its files lie in `folder`."""
+    pytest.importorskip("pycolmap", reason="calibration from features needs streamlod[features]")
+    folder.mkdir()
+    for file in filmed.glob("cam*.mp4"):
+        (folder / file.name).symlink_to(file)
+    done = CliRunner().invoke(app, ["calibrate", str(folder), "--features", *arguments])
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+@pytest.mark.long
+def test_cameras_side_by_side_are_calibrated_without_a_board(filmed: Path, tmp_path: Path) -> None:
+    truth = open_dataset(filmed).recording.cameras
+    metres = float(np.linalg.norm(truth[0].centre - truth[3].centre))
+    told = calibrated(filmed, tmp_path / "walk", "--apart", f"cam00:cam03={metres:.4f}")
+    assert "transforms.json, rig.json and calibration.txt written" in told
+    assert "no length is known" not in told
+    found = open_dataset(tmp_path / "walk").recording.cameras
+    assert [camera.name for camera in found] == [camera.name for camera in truth]
+    degrees, away = differences(*(np.array([rigid.pose(c.world_to_camera) for c in each]) for each in (found, truth)))
+    assert degrees.max() < 0.3
+    assert away.max() < 0.03
+    heights = np.array([[camera.centre[2] for camera in each] for each in (found, truth)])
+    np.testing.assert_allclose(heights[0] - heights[0].mean(), heights[1] - heights[1].mean(), atol=0.05)  # z is up
+    focal = np.array([[camera.intrinsics[0, 0] for camera in each] for each in (found, truth)])
+    np.testing.assert_allclose(focal[0], focal[1], rtol=0.02)
+
+
+@pytest.mark.long
+def test_known_lenses_are_kept_and_unknown_lengths_told(filmed: Path, tmp_path: Path) -> None:
+    told = calibrated(filmed, tmp_path / "walk", "--lenses", str(filmed))
+    assert "measure two cameras from lens to lens and give --apart cam00:cam01=METRES" in told
+    found, truth = (open_dataset(each).recording.cameras for each in (tmp_path / "walk", filmed))
+    for camera, other in zip(found, truth, strict=True):
+        np.testing.assert_allclose(camera.intrinsics, other.intrinsics, rtol=1e-6)
+
+
+def test_cameras_that_share_nothing_are_named(tmp_path: Path) -> None:
+    pytest.importorskip("pycolmap", reason="calibration from features needs streamlod[features]")
+    write_video_clip(tmp_path, ["cam00", "cam01"], 2, (160, 120))
+    refused = CliRunner().invoke(app, ["calibrate", str(tmp_path), "--features"])
+    assert isinstance(refused.exception, InputError)
+    assert "cameras cam00 and cam01: see too little of what the others see" in str(refused.exception)
+    assert not (tmp_path / "transforms.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--features", "--board", "7x5"], "is for footage without a board"),
+        (["--apart", "cam00:cam01=2"], "is for --features"),
+        (["--features", "--apart", "cam00=2"], "is not CAMERA:CAMERA=METRES, such as cam00:cam01=1.85"),
+        (["--features", "--apart", "cam00:cam01=0"], "is not CAMERA:CAMERA=METRES"),
+        (["--features", "--apart", "cam00:left=2"], "does not name two of the cameras cam00, cam01"),
+    ],
+)
+def test_unusable_arguments_are_refused(tmp_path: Path, arguments: list[str], sentence: str) -> None:
+    write_video_clip(tmp_path, ["cam00", "cam01"], 2, (64, 48))
+    refused = CliRunner().invoke(app, ["calibrate", str(tmp_path), *arguments])
+    assert isinstance(refused.exception, InputError)
+    assert sentence in str(refused.exception)
