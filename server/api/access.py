@@ -22,6 +22,7 @@ from streamlod.server.stream.stream import Stream
 from streamlod.server.stream.worker_stream import WorkerStream
 
 _SAFE = {"GET", "HEAD"}  # a foreign page may send them, but cannot read the answer
+LINK_ENDED = "the link has expired, or its stream began anew; ask for another"
 RECHECK_SECONDS = 5.0  # between two looks at the token of a websocket
 _REFUSAL_SECONDS = 0.5  # every refusal takes this long, whatever the reason
 
@@ -170,6 +171,8 @@ def need_download() -> Any:
             problem = Problem(429, "too many wrong tokens from this address", {"Retry-After": "60"})
         elif gate.links.allows(request.url.path, request.query_params, incarnation):
             problem = None
+        elif gate.links.has_ended(request.url.path, request.query_params):  # no guess: players go on asking
+            problem = Problem(401, LINK_ENDED, {"WWW-Authenticate": "Bearer"})
         else:
             problem = await _refuse(gate, address_of(request), begin)
         if problem is not None:

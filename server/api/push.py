@@ -10,7 +10,7 @@ from starlette.websockets import WebSocket
 
 from streamlod.core.close_codes import CloseCode
 from streamlod.core.errors import InputError, SessionError
-from streamlod.server.api.access import RECHECK_SECONDS, admit, is_signed, until_withdrawn
+from streamlod.server.api.access import LINK_ENDED, RECHECK_SECONDS, admit, is_signed, registry_of, until_withdrawn
 from streamlod.server.api.registry import STOPPING, Registry
 from streamlod.server.auth.gate import Right
 from streamlod.server.http.websocket import CONNECTION, Connection
@@ -61,7 +61,10 @@ async def open_intake(websocket: WebSocket, stream_id: str) -> AnyIntake:
     Raises:
         SessionError: the node may not push there, or nobody takes pictures there at present.
     """
-    linked = _linked_camera(websocket, stream_id)
+    linked, camera = _linked_camera(websocket, stream_id), websocket.query_params.get("camera", "")
+    links = registry_of(websocket).gate.links
+    if linked is None and links.has_ended(scope_of(stream_id, camera), websocket.query_params):
+        raise SessionError(CloseCode.UNAUTHORISED, LINK_ENDED)
     stream = await admit(websocket, Right.PUBLISH, stream_id, signed=linked is not None)
     if stream.push_socket is None:
         raise SessionError(CloseCode.FORBIDDEN, "this stream takes no pictures: it is not made from live cameras")
@@ -85,7 +88,7 @@ async def until_no_publisher(websocket: WebSocket, stream_id: str) -> None:
         await until_withdrawn(websocket, Right.PUBLISH, stream_id)
     while _linked_camera(websocket, stream_id) is not None:
         await asyncio.sleep(RECHECK_SECONDS)
-    raise SessionError(CloseCode.UNAUTHORISED, "the link has expired; ask for another")
+    raise SessionError(CloseCode.UNAUTHORISED, LINK_ENDED)
 
 
 async def until_stopping(websocket: WebSocket, _: str) -> None:

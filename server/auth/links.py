@@ -49,11 +49,19 @@ class LinkSigner:
 
     def allows(self, path: str, query: Mapping[str, str], incarnation: str) -> bool:
         """Whether `query` holds a signature that covers `path` now, of a stream of that incarnation."""
-        expires, scope = query.get("expires", ""), query.get("scope", path)
+        expires = query.get("expires", "")
+        now_valid = _DIGITS.fullmatch(expires) is not None and time.time() < int(expires)
+        return self._is_genuine(path, query, incarnation) and now_valid
+
+    def has_ended(self, path: str, query: Mapping[str, str]) -> bool:
+        """Whether `query` once opened `path`, and nobody guessed it: it has expired, or its stream was replaced."""
+        return self._is_genuine(path, query, query.get("incarnation", ""))
+
+    def _is_genuine(self, path: str, query: Mapping[str, str], incarnation: str) -> bool:
+        scope = query.get("scope", path)
         covered = scope == path or (scope.endswith("/") and path.startswith(scope))
-        expected = self._signature(scope, expires, incarnation)
-        genuine = hmac.compare_digest(expected.encode(), query.get("signature", "").encode())
-        return genuine and covered and _DIGITS.fullmatch(expires) is not None and time.time() < int(expires)
+        expected = self._signature(scope, query.get("expires", ""), incarnation)
+        return covered and hmac.compare_digest(expected.encode(), query.get("signature", "").encode())
 
     def _signature(self, scope: str, expires: str, incarnation: str) -> str:
         return hmac.new(self._key, f"{expires}\n{incarnation}\n{scope}".encode(), hashlib.sha256).hexdigest()

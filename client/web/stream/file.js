@@ -23,7 +23,10 @@ export class FileReader {
     const answer = await fetch(this.url, { headers: { ...this.headers, Range: `bytes=${range}` } }).catch(() => {
       throw new Error(`${origin} does not answer${origin === globalThis.location?.origin ? "" : ", or does not let pages of other sites read its files (CORS)"}`);
     });
-    if (!answer.ok) throw new Error(`the recording cannot be read: ${answer.status} ${answer.statusText}`);
+    if (!answer.ok) {
+      const told = await answer.json().catch(() => null); // what is wrong, where the server says it (RFC 9457)
+      throw new Error(`the recording cannot be read: ${told?.detail ?? `${answer.status} ${answer.statusText}`}`);
+    }
     return answer;
   }
 

@@ -19,6 +19,7 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
 from streamlod.core.close_codes import CloseCode
+from streamlod.server.api.access import LINK_ENDED
 from streamlod.server.auth.gate import hash_token
 from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
 from streamlod.server.settings import Settings
@@ -84,6 +85,7 @@ def test_a_link_for_a_camera_opens_that_camera_until_it_expires(guarded: Stage) 
         assert closes(node) == 4401
     with pushing(guarded, f"?camera=phone1&{link['query']}") as node:
         assert closes(node) == 4401
+        assert node.close_reason == LINK_ENDED
 
 
 def test_a_link_opens_nothing_else_and_no_other_link_opens_a_camera(guarded: Stage) -> None:

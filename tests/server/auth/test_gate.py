@@ -312,6 +312,25 @@ def test_signed_links_open_their_path_until_they_expire(
         signer.reload()
 
 
+def test_a_player_that_asks_on_with_a_link_that_has_expired_shuts_nobody_out(clip: Clip, tmp_path: Path) -> None:
+    tokens, key = tmp_path / "tokens.json", tmp_path / "link.key"
+    tokens.write_text(json.dumps([{"name": "a", "sha256": hash_token("a"), "rights": ["read"], "streams": "main"}]))
+    key.write_text("s" * 32)
+    signer, path = LinkSigner(key), "/v1/streams/main/hls/index.m3u8"
+    signer.reload()
+    settings = Settings(tokens=tokens, link_key=key)
+    with running(settings, StreamSpec(play=clip.path)) as server, server.client() as client:
+        reader = {"Authorization": "Bearer a"}
+        incarnation = client.get("/v1/streams/main", headers=reader).json()["incarnation"]
+        for of, seconds in ((incarnation, -1), ("0" * 16, 60)):
+            address = f"{path}?{signer.sign(path, int(time.time()) + seconds, of)}"
+            for _ in range(settings.limits.refusals_per_minute):
+                answer = client.get(address)
+                assert answer.status_code == 401
+                assert "the link has expired" in answer.json()["detail"]
+        assert client.get("/v1/streams/main", headers=reader).status_code == 200
+
+
 def test_every_refusal_takes_the_same_time(clip: Clip, tmp_path: Path) -> None:
     tokens, key = tmp_path / "tokens.json", tmp_path / "key"
     tokens.write_text(json.dumps([{"name": "a", "sha256": hash_token("a"), "rights": ["read"]}]))
