@@ -29,6 +29,9 @@ _SLOW = "{:.0f} a second, but the rig wants {:g} pictures: give more light, or w
 _LATE_SECONDS = 1.5  # that pictures may be on their way after the end
 _BUFFERED = 32  # pictures of a camera that may wait to be written
 _TICKS = 90_000  # a second, of the files' times
+# Each group of pictures is whole on disk before the next one begins: what was filmed outlives this process. The list
+# of the file waits for the first picture, whose time it has.
+_FILE = {"movflags": "hybrid_fragmented+delay_moov", "flush_packets": "1"}
 _ENCODER = {"preset": "ultrafast", "tune": "zerolatency", "crf": "17", "g": "30"}  # as fast as the cameras film
 
 
@@ -228,7 +231,7 @@ class _Writer(threading.Thread):
 
     def _write_all(self) -> None:
         even = self._size[0] % 2 == 0 and self._size[1] % 2 == 0
-        with av.open(str(self._file), "w", format="mp4") as container:
+        with av.open(str(self._file), "w", format="mp4", options=_FILE) as container:
             container.metadata["comment"] = ONE_CLOCK
             stream = container.add_stream("libx264", rate=Fraction(self._fps).limit_denominator(1001), options=_ENCODER)
             stream.width, stream.height = self._size

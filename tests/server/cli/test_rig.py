@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 import ssl
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -30,6 +33,7 @@ from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMe
 from streamlod.server.settings import Settings, load_settings
 from tests.core.data.writers import write_video
 from tests.server.ingest.rig import HEIGHT, WIDTH, burnt, number_of, write_definition
+from tests.waiting import wait
 
 FPS = 20
 SKEW_NS = 7_000_000  # by which the second phone films later
@@ -228,6 +232,30 @@ def test_phones_are_recorded_on_one_clock(tmp_path: Path) -> None:
         assert np.ptp(offsets) < 1e-4
         starts.append(offsets[0])
     assert abs(starts[1] - starts[0] - SKEW_NS / 1e9) < 1e-4
+
+
+@pytest.mark.long
+def test_what_was_recorded_is_there_where_the_recorder_was_killed(tmp_path: Path) -> None:
+    write_video(tmp_path / "film.mp4", [burnt(number) for number in range(300)], fps=FPS)
+    rig, file = write_definition(tmp_path, ["film.mp4"] * 2), tmp_path / "walk" / "cam0.mp4"
+    command = [sys.executable, "-m", "streamlod.server.cli", "rig", str(rig), "--record", str(file.parent)]
+
+    def recorded() -> int:
+        try:
+            return probe_video(file).frame_count
+        except InputError:
+            return 0
+
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        try:
+            wait(lambda: process.poll() is not None or recorded() > FPS, 60)
+        finally:
+            process.kill()
+    assert process.returncode == -signal.SIGKILL
+    footage, _ = open_walk(file.parent)
+    numbers = [number_of(picture) for picture in footage.pictures() if picture is not None]
+    assert FPS < len(numbers) < 250, "of 300"
+    assert np.ptp(footage.times - np.array(numbers) / FPS) < 1e-4
 
 
 @pytest.mark.long
