@@ -98,6 +98,7 @@ def caliscope_text(calibration: CalibratedRig) -> str:
         parts.append(
             f"[cameras.{key}]\ncam_id = {key}\nrotation_count = 0\nerror = {calibration.rms(number):.4f}\n"
             f"ignore = false\nsize = [{camera.width}, {camera.height}]\n"
+            f"time_offset = {float(calibration.offsets[number])}\n"
             f"matrix = {opencv_matrix(camera).tolist()}\ndistortions = {camera.distortion.tolist()}\n"
             f"translation = {pose[:3, 3].tolist()}\nrotation = {pose[:3, :3].tolist()}\n"
         )

@@ -84,6 +84,8 @@ def rate_of(times_ns: Sequence[int], declared: Fraction) -> float:
     if not steps:
         return float(declared)
     period = float(sorted(steps)[len(steps) // 4])  # lost pictures make steps longer only: many short ones are left
+    single = [step for step in steps if step < 1.5 * period]
+    period = sum(single) / len(single)  # or one short step would make a long gap one picture longer
     for _ in range(3):
         period = sum(steps) / sum(max(1, round(step / period)) for step in steps)
     measured = _SECOND_NS / period

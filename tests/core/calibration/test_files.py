@@ -90,6 +90,24 @@ def test_a_recording_of_caliscope_stays_one(tmp_path: Path) -> None:
     np.testing.assert_allclose(read.recording.cameras[1].world_to_camera, found.cameras[1].world_to_camera)
 
 
+@pytest.mark.parametrize(("offset", "later"), [(0.0, 0), (0.13, 1), (-0.08, -1), (-0.22, -2)])
+def test_offsets_pair_what_a_table_of_times_pairs_otherwise(tmp_path: Path, offset: float, later: int) -> None:
+    size, rows = (96, 64), ["sync_index,cam_id,frame_time"]
+    for number in (3, 11, 12):
+        write_video(tmp_path / f"cam_{number}.mp4", blinking(BLINK, size), fps=10)
+        rows += [f"{index},{number},{index / 10}" for index in range(20)]
+    (tmp_path / "timestamps.csv").write_text("\n".join(rows))
+    names = ["cam_3", "cam_11", "cam_12"]
+    write_calibration(calibration(names, [0.0, offset, 0.01], size), open_walk(tmp_path), tmp_path)
+    frames = list(open_dataset(tmp_path).frames())
+    assert len(frames) == 20 - abs(later)
+    bright = np.array([[image.mean() > 250 for image in frame.images] for frame in frames])
+    first, moved, third = (int(column.argmax()) for column in bright.T)
+    assert first == third == BLINK - max(0, later)
+    assert moved - first == later
+    np.testing.assert_allclose(np.diff([frame.time_ns for frame in frames]), 1e8, atol=1e3)
+
+
 def test_an_earlier_calibration_is_not_replaced_unasked(tmp_path: Path) -> None:
     (tmp_path / "transforms.json").write_text("{}")
     with pytest.raises(InputError, match=r"transforms\.json: is there already"):
