@@ -213,8 +213,18 @@ def test_it_finds_more_right_depths_than_the_tests_alone() -> None:
     assert added.sum() > 0.1 * trusted.sum()  # in gaps: what has points already needs no more
     assert right[added].mean() >= right[trusted].mean() - 0.02
     assert right[surest].mean() >= right[trusted].mean()
+
+
+@pytest.mark.long
+def test_first_points_are_what_is_believed_and_others_after_them() -> None:
+    spec = SyntheticSpec(kind="bright", cameras=3, frames=1, width=80, height=45, seed=5)
+    dataset = open_synthetic(spec)
     frame, bounds = next(iter(dataset.frames())), dataset.depth_bounds
+    matches = PlaneSweep().matches(working_views(frame, dataset.cameras, spec.height), bounds)
+    believed, trusted = (np.stack(good).sum() for good in (LearnedSweep().believed(matches), matches.trusted))
+    assert believed > trusted
     learned = first_points(frame, dataset.cameras, depth_bounds=bounds, method="learned")
-    assert len(learned) == believed.sum()
+    assert len(learned) == believed
     usual = first_points(frame, dataset.cameras, depth_bounds=bounds)  # more points fill the gaps that remain
+    assert len(usual) > len(learned)
     np.testing.assert_array_equal(usual.positions[: len(learned)], learned.positions)
