@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from urllib.parse import parse_qs, quote, urlsplit, urlunsplit
 
 from streamlod.core.errors import InputError
@@ -18,6 +19,8 @@ def live_address(url: str) -> str:
     parts = urlsplit(url)
     if parts.scheme in {"ws", "wss"}:
         return url
+    if parts.scheme not in {"http", "https"} and Path(url).is_file():
+        raise InputError(url, "is a file; `streamlod serve --play` it, and watch the address that that logs")
     if parts.scheme not in {"http", "https"}:
         raise InputError(url, "is no stream; it looks like http://HOST:PORT or ws://HOST:PORT/v1/streams/main/live")
     folder, found, rest = parts.path.partition("/v1/streams/")  # before it, what a proxy adds

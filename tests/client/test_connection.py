@@ -304,6 +304,11 @@ def test_the_pages_address_leads_to_its_stream(given: str, address: str) -> None
     assert live_address(given) == address
 
 
+def test_who_gives_a_file_is_told_how_it_is_watched() -> None:
+    with pytest.raises(InputError, match="is a file; `streamlod serve --play` it"):
+        live_address(__file__)
+
+
 @pytest.mark.parametrize("given", ["a:8000", "ftp://a/b", ""])
 def test_other_addresses_are_refused(given: str) -> None:
     with pytest.raises(InputError, match="is no stream"):

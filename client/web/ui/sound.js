@@ -122,7 +122,7 @@ export class Sound {
     }
     const pull = Math.min(Math.max(off / PULL_MS, -MAX_PULL), MAX_PULL);
     audio.playbackRate = this.speed * (1 - pull);
-    if (audio.paused) audio.play().catch(() => this.#turn(false)); // not allowed yet
+    if (audio.paused) audio.play().catch(({ name }) => name === "AbortError" || this.#turn(false)); // not allowed yet; or paused before it began
   }
 
   async #load() {

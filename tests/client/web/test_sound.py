@@ -223,6 +223,29 @@ def test_clicks_are_heard_when_their_pictures_are_seen(page: Any, sounding: Path
             raise AssertionError(f"{page.evaluate(CLICKS, BEGIN_MS)}") from error
 
 
+def test_sound_that_is_long_in_coming_stays_on(page: Any, sounding: Path) -> None:
+    """Pictures may stop before the first sound is there, and go on later."""
+    page.set_viewport_size({"width": 640, "height": 360})
+    page.add_init_script(
+        "window.Audio = class { constructor() { return (window.playing = document.createElement('audio')); } };"
+    )
+    held: list[Any] = []
+    page.route("**/v1/streams/main/sound", lambda route: held.append(route))  # noqa: PLW0108 - no builtin
+    with served(page, Settings(), sounding) as server:
+        page.goto(f"{server.url}/?quality=low&sway=0")
+        shows(page, "s.sound !== null && s.version > 2")
+        page.locator("#t-sound").click()
+        page.wait_for_function("!playing.paused", **WAIT)
+        page.evaluate("streamlod.pause()")
+        page.wait_for_function("playing.paused", **WAIT)
+        assert held
+        held.pop().continue_()
+        page.unroute("**/v1/streams/main/sound")
+        page.evaluate("streamlod.play()")
+        shows(page, "!s.sound.on || s.sound.playing")
+        assert page.evaluate("streamlod.state.sound.on")
+
+
 def test_sound_of_a_stream_that_needs_a_token(page: Any, sounding: Path, tmp_path: Path) -> None:
     tokens = tmp_path / "tokens.json"
     tokens.write_text(json.dumps([{"name": "a", "sha256": hash_token("a"), "rights": ["read"], "streams": "main"}]))
