@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from streamlod.client.evaluation.file_scores import DecodedScore
 
 _PATH_SIZE = 1280, 720  # pixels, where the scene has no camera
+_OLDEST = 1, 0  # the position before all others: the server begins with the oldest that it has
 AVERAGE = "average"
 TOKEN_VARIABLE = "STREAMLOD_TOKEN"
 
@@ -48,12 +49,13 @@ def view(
     levels: int | None = None,
     fps: float | None = None,
     path: Path | None = None,
+    from_start: bool = False,
 ) -> str:
     """Record a live stream from a camera of the rig (the first by default), on an orbit, from poses of a file, or along
     a camera path of the page, once unless `frames` says otherwise.
 
     A token is taken from the environment variable STREAMLOD_TOKEN. At another rate than the stream's (`fps`), pictures
-    between its frames are interpolated.
+    between its frames are interpolated. What the server has kept is shown first where it begins `from_start`.
     """
     if sum((camera is not None, orbiting, pose is not None, path is not None)) > 1:
         raise InputError("view", "--camera, --orbit, --pose and --path exclude each other")
@@ -76,7 +78,8 @@ def view(
 
     if pose is not None and not pose.is_file():
         raise InputError(pose, "does not exist")
-    options = WatchOptions(token=os.environ.get(TOKEN_VARIABLE), levels=levels, nearest=True)
+    start = _OLDEST if from_start else None
+    options = WatchOptions(token=os.environ.get(TOKEN_VARIABLE), start=start, levels=levels, nearest=True)
     with progress_bar(total=frames, unit="picture", desc="view", delay=0.5) as bar:
 
         def tell(text: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,10 +10,9 @@ import av
 import numpy as np
 import pytest
 
-from streamlod.client.connection.link import WatchOptions
+from streamlod.client.commands import view
 from streamlod.client.film_sound import add_sound
 from streamlod.client.recorder import open_recorder
-from streamlod.client.viewing import record_stream
 from streamlod.codec.sound.beside import sound_beside
 from streamlod.codec.sound.opus import SAMPLE_RATE, write_sound
 from streamlod.core.data.video.sound import filmed_sound, sound_channels
@@ -102,9 +100,8 @@ def recorded(tmp_path: Path, with_sound: bool) -> Path:
     with running(Settings(), StreamSpec(play=clip.path, loop=False)) as server:
         server.wait(lambda stream: stream["state"] == "ended")
         url = f"http://127.0.0.1:{server.port}"  # the page's
-        options = WatchOptions(start=(1, 0))
         assert clip.states[0].header.fps == 30
-        asyncio.run(record_stream(url, out, lambda header: lambda number: header.cameras[0], 75, options))
+        assert view(url, out, frames=75, from_start=True) == f"75 pictures in {out}"
     return out
 
 

@@ -49,11 +49,14 @@ def view(
             "--fps", min=0.1, max=1000, metavar="60", help="Of the film; more than the stream has are interpolated."
         ),
     ] = None,
+    from_start: Annotated[
+        bool, typer.Option("--from-start", help="Begin with the oldest that the server has kept, not live.")
+    ] = False,
 ) -> None:
     """Watch a live stream from Python and record what a viewpoint sees. A token comes from STREAMLOD_TOKEN."""
     from streamlod.client.commands import view as watch
 
-    typer.echo(watch(url, out, camera, orbit, pose, frames, levels, fps, path))
+    typer.echo(watch(url, out, camera, orbit, pose, frames, levels, fps, path, from_start))
 
 
 @app.command()
