@@ -25,7 +25,8 @@ export class FileReader {
     });
     if (!answer.ok) {
       const told = await answer.json().catch(() => null); // what is wrong, where the server says it (RFC 9457)
-      throw new Error(`the recording cannot be read: ${told?.detail ?? `${answer.status} ${answer.statusText}`}`);
+      const why = told?.detail && told.detail !== answer.statusText ? told.detail : `${answer.status} ${answer.statusText}`;
+      throw new Error(`the recording cannot be read: ${why}`);
     }
     return answer;
   }
