@@ -83,6 +83,8 @@ def paired(
         raise InputError(path, "its times do not increase with sync_index")
     rows = np.where(np.isfinite(stated), np.cumsum(np.isfinite(stated), axis=0) - 1, -1)
     if offsets.any():
+        if any((np.diff(column[np.isfinite(column)]) <= 0).any() for column in stated.T):
+            raise InputError(path, "its times do not increase with sync_index")
         seconds, rows = _moved(stated + offsets, interval)
         if not len(seconds):
             raise InputError(path, "has no instant that all cameras filmed, by their time_offset")
@@ -110,15 +112,21 @@ def _stated(path: Path, keys: Sequence[str]) -> Float64:
 
 def _moved(times: Float64, interval: float) -> tuple[Float64, Int64]:
     """[T] seconds of instants, and [T,C] which picture each camera has of them, -1 for none, by times [T,C]."""
-    instants = np.nanmedian(times, axis=1)
+    instants = np.sort(np.nanmedian(times, axis=1))
     rows = np.full(times.shape, -1)
     for camera, column in enumerate(times.T):
         taken = column[np.isfinite(column)]
-        away = np.abs(taken - instants[:, None])
-        nearest = away.argmin(axis=1)
-        mutual = away.argmin(axis=0)[nearest] == np.arange(len(instants))
-        good = mutual & (away.min(axis=1) < _NEAR * interval)
+        nearest = _nearest(instants, taken)
+        mutual = _nearest(taken, instants)[nearest] == np.arange(len(instants))
+        good = mutual & (np.abs(taken[nearest] - instants) < _NEAR * interval)
         rows[good, camera] = nearest[good]
     reached = np.flatnonzero((rows >= 0).all(axis=1))
     common = slice(reached[0], reached[-1] + 1) if len(reached) else slice(0)
     return instants[common], rows[common]
+
+
+def _nearest(times: Float64, among: Float64) -> Int64:
+    """[N] the places in `among` [M], ascending, of what is nearest to each of `times` [N]."""
+    after = np.clip(np.searchsorted(among, times), 0, len(among) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(np.abs(times - among[before]) < np.abs(among[after] - times), before, after)

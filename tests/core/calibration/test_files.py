@@ -108,6 +108,20 @@ def test_offsets_pair_what_a_table_of_times_pairs_otherwise(tmp_path: Path, offs
     np.testing.assert_allclose(np.diff([frame.time_ns for frame in frames]), 1e8, atol=1e3)
 
 
+def test_times_that_do_not_increase_are_refused_where_offsets_move_them(tmp_path: Path) -> None:
+    size, rows = (96, 64), ["sync_index,cam_id,frame_time"]
+    for number in (3, 11):
+        write_video(tmp_path / f"cam_{number}.mp4", blinking(BLINK, size), fps=10)
+        rows += [f"{index},{number},{(index - 9 * (index == 12 and number == 11)) / 10}" for index in range(20)]
+    (tmp_path / "timestamps.csv").write_text(
+        "\n".join([rows[0], *(f"{i},{c},{i}" for c in (3, 11) for i in range(20))])
+    )
+    write_calibration(calibration(["cam_3", "cam_11"], [0.0, 0.13], size), open_walk(tmp_path), tmp_path)
+    (tmp_path / "timestamps.csv").write_text("\n".join(rows))
+    with pytest.raises(InputError, match="its times do not increase with sync_index"):
+        open_dataset(tmp_path)
+
+
 def test_an_earlier_calibration_is_not_replaced_unasked(tmp_path: Path) -> None:
     (tmp_path / "transforms.json").write_text("{}")
     with pytest.raises(InputError, match=r"transforms\.json: is there already"):

@@ -167,6 +167,16 @@ def test_cameras_out_of_phase_are_paired_with_the_nearest() -> None:
     assert len({a - b for a, b in zip(whole, other, strict=True) if a is not None and b is not None}) == 1
 
 
+def test_a_gap_beside_short_steps_is_not_counted_one_picture_longer() -> None:
+    """It then ran at 26.5 pictures a second, and was refused beside cameras of 25."""
+    early = {3, 4, 6, 18, 19}
+    late = {1, 2, 16}
+    kept = [number for number in range(20) if not 7 <= number <= 13]
+    shifts = [0.15 * ((number in late) - (number in early)) for number in kept]
+    times = [round((number + shift) * _SECOND_NS / 25) for number, shift in zip(kept, shifts, strict=True)]
+    assert rate_of(times, Fraction(25)) == pytest.approx(25, rel=0.02)
+
+
 @settings(max_examples=50, deadline=None)
 @given(st.data())
 def test_loss_jitter_delay_and_coarse_clocks_never_pair_different_instants(data: st.DataObject) -> None:
