@@ -104,7 +104,8 @@ class Supervisor:
         self._clock = RunningTime(_WATCH_SECONDS)
         self._heard = self._progressed = 0.0
         self._ending: Ending | None = None
-        self._handling = self._spoke = False
+        self._handling = False
+        self._spoke: float | None = None  # when its worker was first heard: it has loaded its code
         self._reported = 0  # bytes of memory, of the worker
         self.restarts = 0
 
@@ -152,7 +153,7 @@ class Supervisor:
             await asyncio.shield(asyncio.to_thread(worker.process.join, 5))
             raise
         self._clock.begin()
-        self._ending, self._heard, self._spoke, self._reported = None, self._clock.now(), False, 0
+        self._ending, self._heard, self._spoke, self._reported = None, self._clock.now(), None, 0
         begun = self._heard
         loop = asyncio.get_running_loop()
         thread = ThreadPoolExecutor(1, thread_name_prefix=f"pump-{self._spec.id}")  # the shared pool may be in use
@@ -209,7 +210,8 @@ class Supervisor:
                 return
             tag, body = Tag(message[0]), message[1:]
             self._heard = self._clock.now()
-            self._spoke = self._spoke or tag is not Tag.PLACED  # its actor has not started yet
+            if self._spoke is None and tag is not Tag.PLACED:  # else its actor has not started yet
+                self._spoke = self._heard
             if tag is Tag.HEARTBEAT:
                 self._reported = int.from_bytes(body)
                 continue
@@ -239,12 +241,12 @@ class Supervisor:
         now = self._clock.now()
         if self._handling:  # heartbeats are queued behind the message that is being handled
             return None
-        if not self._spoke:  # loading takes longer than any silence later, on a busy machine above all
+        if self._spoke is None:  # loading takes longer than any silence later, on a busy machine above all
             if now - self._heard > self._settings.start_seconds:
                 return f"the worker did not start within {self._settings.start_seconds:g} s"
         elif now - self._heard > self._settings.heartbeat_seconds:
             return f"the worker was silent for {self._settings.heartbeat_seconds:g} s"
-        if now - self._progressed > self._settings.stall_seconds:
+        elif now - max(self._spoke, self._progressed) > self._settings.stall_seconds:
             return f"the worker made no progress for {self._settings.stall_seconds:g} s"
         used = max(resident_bytes(self.pid), self._reported)  # an actor may run on another machine
         if used > self._settings.memory_bytes:

@@ -198,6 +198,29 @@ def beat_for_ever(_: StreamSpec, pipe: Connection, *__: object) -> None:
         time.sleep(0.05)
 
 
+def load_slowly(spec: StreamSpec, pipe: Connection, *others: object) -> None:
+    """Entry of a process that needs longer to load its code than it may later go without progress."""
+    time.sleep(2)
+    beat_for_ever(spec, pipe, *others)
+
+
+@pytest.mark.long
+def test_loading_code_is_not_a_lack_of_progress() -> None:
+    async def run() -> Reports:
+        owner, watched = Reports(), WorkerSettings(stall_seconds=1)
+        running = asyncio.create_task(
+            Supervisor(StreamSpec(play=Path("none.slod")), watched, 1000, owner, entry=load_slowly).run()
+        )
+        while not owner.tags and not owner.endings:
+            await asyncio.sleep(0.01)
+        running.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await running
+        return owner
+
+    assert asyncio.run(run()).endings == []
+
+
 @pytest.mark.long
 def test_a_worker_is_not_to_blame_for_a_time_in_which_the_server_stood_still_as_well() -> None:
     async def run() -> tuple[int | None, int | None, Reports]:
