@@ -20,10 +20,12 @@ from streamlod.server.ingest.cameras.definition import RigDefinition
 from streamlod.server.ingest.push.intake import Intake
 from streamlod.server.ingest.push.relay import listening
 from streamlod.server.ingest.rig import Rig
+from streamlod.server.ingest.sync.pace import Pace
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import CameraState, Instant
 
 _TELL_SECONDS = 5.0
+_JUDGED = 0.5  # of that time, in which a camera must have filmed to be called slow
 _SLOWEST = 0.8  # of the rig's rate, below which a camera's own is told
 _SLOW = "{:.0f} a second, but the rig wants {:g} pictures: give more light, or write a lower fps into the rig's file"
 _LATE_SECONDS = 1.5  # that pictures may be on their way after the end
@@ -41,12 +43,14 @@ class WatchedRig(Rig):
     def __init__(self, definition: RigDefinition) -> None:
         super().__init__(definition, [camera.name for camera in definition.cameras])
         self.writers: dict[str, _Writer] = {}
+        self.paces = {camera.name: Pace() for camera in definition.cameras}
         self._sights: Mapping[str, BoardSight] = {}  # of the board, while its walk is recorded
         self._heard_later = None if definition.sound is None else definition.sound.camera
 
     def put(self, picture: Picture) -> None:
         """See `Rig.put`."""
         super().put(picture)
+        self.paces[picture.camera] = self.paces[picture.camera].then(self.now_ns)
         if (writer := self.writers.get(picture.camera)) is not None:
             writer.take(picture)
 
@@ -79,7 +83,7 @@ def watching(definition: RigDefinition, push_socket: Path | None) -> Iterator[Wa
         yield rig
 
 
-def first_whole(rig: Rig, seconds: float, waiting: Callable[[Mapping[str, str]], None]) -> Instant:
+def first_whole(rig: WatchedRig, seconds: float, waiting: Callable[[Mapping[str, str]], None]) -> Instant:
     """The first instant with a picture of every camera.
 
     Args:
@@ -105,16 +109,16 @@ def first_whole(rig: Rig, seconds: float, waiting: Callable[[Mapping[str, str]],
 
 
 @contextmanager
-def _telling(rig: Rig, tell: Callable[[Mapping[str, str]], None]) -> Iterator[None]:
+def _telling(rig: WatchedRig, tell: Callable[[Mapping[str, str]], None]) -> Iterator[None]:
     """Call `tell` every few seconds, with the cameras that do not deliver as they should, and why."""
     over = threading.Event()
 
     def watch() -> None:
-        before: dict[str, int] = {}
+        before = dict(rig.paces)
         while not over.wait(_TELL_SECONDS):
-            now = {name: camera.counts.received for name, camera in rig.statistics().cameras.items()}
-            rates = {name: (count - before[name]) / _TELL_SECONDS for name, count in now.items() if before.get(name)}
-            slow = {name: rate for name, rate in rates.items() if rate < _SLOWEST * rig.fps}
+            now = dict(rig.paces)
+            rates = {name: pace.since(before[name], _JUDGED * _TELL_SECONDS) for name, pace in now.items()}
+            slow = {name: rate for name, rate in rates.items() if rate is not None and rate < _SLOWEST * rig.fps}
             why_slow = _SLOW.format(min(slow.values(), default=0.0), rig.fps)  # one reason, so that it is told once
             before = now
             tell(dict.fromkeys(slow, why_slow) | _missing(rig))

@@ -164,7 +164,12 @@ def test_a_calibration_of_another_size_is_refused(tmp_path: Path) -> None:
 
 
 def film(
-    page: str, camera: str, begin_ns: int, over: threading.Event, answers: list[dict[str, Any]] | None = None
+    page: str,
+    camera: str,
+    begin_ns: int,
+    over: threading.Event,
+    answers: list[dict[str, Any]] | None = None,
+    fps: int = FPS,
 ) -> None:
     """Push numbered pictures as a phone with that page does, until it is over; `answers` gets what it is told."""
     parts = urlsplit(page)
@@ -175,7 +180,7 @@ def film(
         try:
             with connect(address, subprotocols=[Subprotocol(PUSH_SUBPROTOCOL)], compression=None) as node:
                 while not over.is_set():
-                    taken = begin_ns + round(number * 1e9 / FPS) + skew
+                    taken = begin_ns + round(number * 1e9 / fps) + skew
                     time.sleep(max(0.0, (taken - time.time_ns()) / 1e9))
                     body = cv2.imencode(".png", burnt(number))[1].tobytes()
                     node.send(pack_push(PushMessage(camera, number, taken, Codec.PNG, body)))
@@ -270,6 +275,34 @@ def test_a_camera_slower_than_the_rig_is_named_while_it_is_recorded(
     assert said[-3] == "the board: no camera has seen it, which is to have 7x5 squares of 55 mm", said
     slow = r"trouble with cam0 \([345] a second, but the rig wants "
     assert any(re.match(slow, line) for line in said), said
+
+
+@pytest.mark.long
+def test_a_phone_that_was_away_is_not_called_slow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It films as fast as it should, but its connection breaks every two seconds, for 1.2 s."""
+    monkeypatch.setattr(recording, "_TELL_SECONDS", 2.0)
+    fps, said, over, phones = 5, list[str](), threading.Event(), list[threading.Thread]()
+
+    def film_with_breaks(page: str) -> None:
+        while not over.is_set():
+            hangs_up = threading.Event()
+            threading.Timer(2.0, hangs_up.set).start()
+            film(page, "cam0", time.time_ns(), hangs_up, fps=fps)
+            over.wait(1.2)
+
+    def say(line: str) -> None:
+        said.append(line)
+        if match := re.search(r"(http\S+)$", line):
+            phones.append(threading.Thread(target=film_with_breaks, args=(match[1],), daemon=True))
+            phones[-1].start()
+
+    rig = write_definition(tmp_path, ["push:"], fps=fps)
+    watch(rig, tmp_path / "walk", 12.0, Settings(port=0), say, overwrite=False)
+    over.set()
+    phones[0].join(60)
+    assert not phones[0].is_alive()
+    assert any(re.match(r"trouble with cam0 \((?!\d)", line) for line in said), "it was away when that was asked"
+    assert not any("a second" in line for line in said), said
 
 
 def test_cameras_of_one_fault_are_named_together() -> None:
