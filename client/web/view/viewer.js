@@ -76,7 +76,7 @@ export class Viewer extends EventTarget {
     this.kept = false; // a picture for it was drawn in the last frame
     this.resting = false; // drawn in full, because nothing moves
     this.timed = { frames: 0, ms: 0 }; // drawn since `pace` was asked for, and the time that took
-    this.lastFrame = 0;
+    this.lastFrame = -Infinity;
     this.touched = false; // a finger or button is down: what does not move now will
     this.frameMs = 0; // that the newest picture took
     this.drew = this.drewAll = false; // since the last frame: while things move; everything there is
@@ -369,7 +369,7 @@ export class Viewer extends EventTarget {
   /** Time that drawing took: that until the next frame, and that of frames which came late. @param {number} now */
   #clock(now) {
     const ms = now - this.lastFrame;
-    this.lastFrame = now;
+    this.lastFrame = this.picture ? now : -Infinity; // what is drawn of no scene says nothing of its speed
     if (this.drew && ms < ASLEEP_MS) this.frameMs = ms;
     if (this.kept && this.warp) this.warp.costMs = ms;
     this.kept = false;

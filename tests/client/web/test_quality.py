@@ -273,3 +273,25 @@ def test_a_device_that_is_too_slow_moves_its_last_picture(page: Any, clip: Clip)
         page.wait_for_url("**thin=1**", **WAIT)
         page.goto("about:blank")
     page.complaints.forgive("WebSocket connection to")
+
+
+SLOW_PAGE = """
+const ask = window.requestAnimationFrame.bind(window);
+window.requestAnimationFrame = (call) => ask((now) => {
+  for (const end = performance.now() + 250; performance.now() < end; );
+  call(now);
+});
+"""
+
+
+def test_nothing_is_slow_at_drawing_before_there_is_a_picture(page: Any, clip: Clip) -> None:
+    """A page that is busy while it waits for a scene does not say that it is slow at drawing one."""
+    page.add_init_script(SLOW_PAGE)
+    page.add_init_script(KEEP_TOASTS)
+    with serving(create_app(clip, Behaviour(state="starting", newest=0))) as url:
+        page.goto(url)
+        shows(page, "s.phase === 'waiting' && s.version === null")
+        page.evaluate(SLOW_DRAG.replace("i < 60", "i < 12"))
+        assert page.evaluate("toasts") == []
+        page.goto("about:blank")
+    page.complaints.forgive("WebSocket connection to")
