@@ -12,7 +12,6 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 
-from streamlod.codec.container import SlodReader
 from streamlod.core.errors import BitstreamError, InputError, StorageError, StreamGoneError
 from streamlod.core.masking import masked
 from streamlod.server.api.access import StreamOf, WorkerStreamOf, grant_of, need, refusal, registry_of
@@ -26,6 +25,7 @@ from streamlod.server.http.problems import PROBLEMS, Problem
 from streamlod.server.pipeline.checks import check_job
 from streamlod.server.pipeline.job import POINT_METHODS
 from streamlod.server.pipeline.new_stream import NewStream, StreamChange
+from streamlod.server.pipeline.recorded import streamed_packets
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.protocol.packets import Position
 from streamlod.server.stream.bus import RetainedGroup
@@ -282,8 +282,8 @@ async def _checked(make: Callable[[], StreamSpec], request: Request) -> StreamSp
 def _check_source(spec: StreamSpec) -> None:
     """Refuse what cannot be used, as far as no camera or recording need be opened to know; InputError if so."""
     if spec.play is not None:
-        with SlodReader(spec.play):
-            return
+        streamed_packets(spec.play)
+        return
     assert spec.job is not None
     if isinstance(spec.job.live, dict):
         from streamlod.server.ingest.cameras.definition import read_definition

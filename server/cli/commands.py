@@ -159,6 +159,7 @@ def playable(path: Path) -> Path:
 def serve(settings: Settings, streams: tuple[StreamSpec, ...], read_settings: Callable[[], Settings]) -> NoReturn:
     """Serve until told to stop, which ends the process; SIGHUP calls `read_settings`."""
     from streamlod.core.render import select
+    from streamlod.server.pipeline.recorded import streamed_packets
     from streamlod.server.service.ending import end_process
     from streamlod.server.service.run import serve as run
 
@@ -167,6 +168,8 @@ def serve(settings: Settings, streams: tuple[StreamSpec, ...], read_settings: Ca
         for path in (stream.play, job and job.data, job and job.live):
             if isinstance(path, Path) and not path.exists():
                 raise InputError(path, "does not exist")
+        if stream.play is not None:
+            streamed_packets(stream.play)
         if job is not None and job.device == "cuda":
             select(job.device)  # a GPU that was asked for is never replaced by the CPU in silence
     with suppress(KeyboardInterrupt):  # the signal that ended it, raised again after an orderly end

@@ -15,7 +15,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
@@ -252,9 +252,10 @@ def _told(opened: OpenJob, pictures: CameraPictures | None, sender: Sender) -> I
 def play(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
     """Send the packets of a recorded file at the pace at which they were filmed."""
     from streamlod.codec.packet.packet import PacketKind
+    from streamlod.server.pipeline.recorded import streamed_packets
 
     assert spec.play is not None
-    entries = list(_recorded(spec))
+    entries = streamed_packets(spec.play)
     start = 0
     if resume.frames:
         done = min(resume.frames, len(entries)) - 1
@@ -277,28 +278,7 @@ def play(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
         start = 0
 
 
-def _recorded(spec: StreamSpec) -> Iterator[tuple[int, Any]]:
-    """Index and entry of each packet of the file that is a keyframe or a predicted packet."""
-    from streamlod.codec.container import SlodReader
-    from streamlod.codec.packet.info import peek
-    from streamlod.codec.packet.packet import PacketKind
-
-    assert spec.play is not None
-    version = None
-    with SlodReader(spec.play) as reader:
-        for number, entry in enumerate(reader.entries):
-            if entry.kind is PacketKind.KEY:
-                if not peek(reader.read(number)).has_header:
-                    raise InputError(spec.play, "its keyframes are cut into parts, which cannot be streamed")
-            elif entry.from_version != version:
-                continue
-            version = entry.to_version
-            yield number, entry
-    if version is None:
-        raise InputError(spec.play, "it holds no packet")
-
-
-def _packets(spec: StreamSpec, entries: list[tuple[int, Any]]) -> Iterator[tuple[int, Any, bytes]]:
+def _packets(spec: StreamSpec, entries: Sequence[tuple[int, Any]]) -> Iterator[tuple[int, Any, bytes]]:
     from streamlod.codec.container import SlodReader
 
     assert spec.play is not None
@@ -307,7 +287,7 @@ def _packets(spec: StreamSpec, entries: list[tuple[int, Any]]) -> Iterator[tuple
             yield number, entry, reader.read(number)
 
 
-def _frame_seconds(entries: list[tuple[int, Any]]) -> float:
+def _frame_seconds(entries: Sequence[tuple[int, Any]]) -> float:
     """Pause between the last frame and the first one of the next round."""
     first, last = entries[0][1], entries[-1][1]
     frames = last.to_version - first.to_version

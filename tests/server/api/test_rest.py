@@ -12,7 +12,7 @@ import jwt
 import pytest
 from websockets.exceptions import ConnectionClosed
 
-from streamlod.codec.container import SlodReader
+from streamlod.codec.container import SlodReader, SlodWriter
 from streamlod.codec.decoder import SceneDecoder
 from streamlod.core.errors import InputError
 from streamlod.server.auth.gate import hash_token
@@ -206,6 +206,16 @@ def test_streams_are_created_started_stopped_and_deleted(
         {"id": "x", "more": 1},
     ):
         assert client.post("/v1/streams", json=body).status_code == 422
+
+
+def test_a_recording_without_a_keyframe_makes_no_stream(client: httpx.Client, clip: Clip, tmp_path: Path) -> None:
+    with SlodReader(clip.path) as reader, SlodWriter(tmp_path / "headless.slod") as writer:
+        for number in range(1, 5):
+            writer.append(reader.read(number))
+    refused = client.post("/v1/streams", json={"id": "headless", "play": str(tmp_path / "headless.slod")})
+    assert refused.status_code == 422
+    assert "no keyframe" in refused.json()["detail"]
+    assert client.get("/v1/streams/headless").status_code == 404
 
 
 @pytest.mark.long

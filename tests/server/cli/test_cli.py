@@ -16,6 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from streamlod.codec.container import SlodReader, SlodWriter
+from streamlod.codec.packet.packet import PacketKind
 from streamlod.server.cli import main as cli
 from tests.client.clips import states, write_clip
 from tests.core.data.writers import llff_rows, rig, write_video_clip
@@ -140,6 +142,21 @@ def test_missing_inputs_are_named(run: Run, tmp_path: Path, scene: Path) -> None
     assert_refused(run("export", scene, "--frame", 9), scene, "frames 0 to 3")
     assert_refused(run("synth", empty, "--size", "12"), "WIDTHxHEIGHT")
     assert not (tmp_path / "o.slod").exists()
+
+
+def test_a_recording_of_which_nothing_can_be_streamed_is_named_before_a_server_starts(
+    run: Run, tmp_path: Path, scene: Path
+) -> None:
+    headless, empty, settings = tmp_path / "headless.slod", tmp_path / "empty.slod", tmp_path / "settings.toml"
+    with SlodReader(scene) as reader, SlodWriter(headless) as writer:
+        for number, entry in enumerate(reader.entries):
+            if entry.kind is not PacketKind.KEY:
+                writer.append(reader.read(number))
+    SlodWriter(empty).close()
+    assert_refused(run("serve", "--play", headless, "--port", 0), headless, "no keyframe")
+    assert_refused(run("serve", "--play", empty, "--port", 0), empty, "no packet")
+    settings.write_text(f"[[streams]]\nid = 'main'\nplay = '{headless}'\n")
+    assert_refused(run("serve", "--config", settings, "--port", 0), headless, "no keyframe")
 
 
 def test_unusable_rigs_are_named_before_a_server_starts(run: Run, tmp_path: Path, clip: Path) -> None:
