@@ -12,11 +12,9 @@ import numpy as np
 from streamlod.core.arrays import Float64
 from streamlod.core.calibration.adjustment import rigid
 from streamlod.core.calibration.adjustment.projection import matrix_of
-from streamlod.core.calibration.track import MIN_CORNERS
-from streamlod.core.data.names import spoken
-from streamlod.core.errors import InputError
+from streamlod.core.calibration.apart import MIN_SHARED, apart
+from streamlod.core.calibration.track import MIN_CORNERS, Track
 
-MIN_SHARED = 5  # instants that two cameras need to see together
 _MAX_ERROR = 10.0  # pixels, of a board before adjustment
 _AGREE = 10.0  # degrees within which views of one pair of cameras agree
 
@@ -63,18 +61,23 @@ def board_poses(corners: Float64, lens: Float64, board: Float64) -> Float64:
     return poses
 
 
-def first_poses(names: Sequence[str], seen: Sequence[Float64], lenses: Float64, board: Float64) -> FirstPoses:
+def first_poses(
+    tracks: Sequence[Track], offsets: Float64, times: Float64, lenses: Float64, board: Float64
+) -> FirstPoses:
     """Poses of all cameras, chained along the pairs that saw the board together most often.
 
     Args:
-        names: of the cameras. seen: for each, its corners [I,J,2] at the instants. lenses: [C,9].
-        board: [J,3] corners in metres.
+        offsets: [C] seconds from each camera's clock to the common time. times: [I] common seconds of the instants.
+        lenses: [C,9]. board: [J,3] corners in metres.
 
     Raises:
-        InputError: cameras that never saw the board together with the others, named.
+        InputError: cameras that hardly saw the board together with the others, named, with the cause.
     """
-    views = [board_poses(corners, lens, board) for corners, lens in zip(seen, lenses, strict=True)]
-    count = len(names)
+    views = [
+        board_poses(track.near(times - offset).at(times - offset), lens, board)
+        for track, offset, lens in zip(tracks, offsets, lenses, strict=True)
+    ]
+    count = len(tracks)
     shared = np.zeros((count, count))
     between: dict[tuple[int, int], Float64] = {}
     for a, b in combinations(range(count), 2):
@@ -90,7 +93,7 @@ def first_poses(names: Sequence[str], seen: Sequence[Float64], lenses: Float64, 
         ways = [(shared[a, b], a, b) for a in placed for b in range(count) if b not in placed]
         most, a, b = max(ways)
         if most < MIN_SHARED:
-            raise _apart(names, placed, most)
+            raise apart(tracks, offsets, set(placed), int(most), board)
         placed[b] = rigid.after(between[a, b], placed[a])[0]
     cameras = np.array([placed[number] for number in range(count)])
     return FirstPoses(root, cameras, _boards(views, cameras), tuple(views))
@@ -106,14 +109,3 @@ def _boards(views: Sequence[Float64], cameras: Float64) -> Float64:
             spread = [float(rigid.angles(each, known).sum() + np.abs(known[:, 3:] - each[3:]).sum()) for each in known]
             boards[instant] = known[int(np.argmin(spread))]
     return boards
-
-
-def _apart(names: Sequence[str], placed: dict[int, Float64], most: float) -> InputError:
-    inside = spoken((names[number] for number in sorted(placed)), 8)
-    outside = [name for number, name in enumerate(names) if number not in placed]
-    often = "never" if most == 0 else f"at {most:.0f} instants only"
-    return InputError(
-        f"camera{'s' if len(outside) > 1 else ''} {spoken(outside, 8)}",
-        f"saw the board together with {inside} {often}, and {MIN_SHARED} are needed; "
-        "hold the board where both see it, or film all cameras in one walk",
-    )

@@ -89,8 +89,7 @@ def calibrate(tracks: Sequence[Track], board: Board, known: Mapping[str, Float64
     lenses = np.array([known[t.camera] if t.camera in known else first_lens(t, board.corners) for t in tracks])
     offsets = first_offsets(tracks, lenses, board.corners, board.centre)
     times = chosen_instants(tracks, offsets)
-    seen = [t.near(times - o).at(times - o) for t, o in zip(tracks, offsets, strict=True)]
-    first = first_poses(names, seen, lenses, board.corners)
+    first = first_poses(tracks, offsets, times, lenses, board.corners)
     check_still(names, first.views)
     placed = np.isfinite(first.boards[:, 0])
     times = times[placed]

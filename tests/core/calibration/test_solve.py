@@ -9,6 +9,7 @@ import pytest
 
 from streamlod.core.arrays import Float64
 from streamlod.core.calibration.adjustment import rigid
+from streamlod.core.calibration.graph import first_poses
 from streamlod.core.calibration.known_lens import check_known
 from streamlod.core.calibration.solve import Calibration, calibrate
 from streamlod.core.calibration.track import Track
@@ -147,11 +148,37 @@ def test_a_board_that_lay_on_the_floor_is_the_floor() -> None:
 def test_cameras_that_never_see_the_board_together_are_named() -> None:
     tracks = walked(rig(), fps=FPS, seconds=16)
     parted = [*(half(track, 0, 0.45) for track in tracks[:3]), half(tracks[3], 0.55, 1)]
-    with pytest.raises(InputError, match=r"camera cam_3: saw the board together with cam_0, cam_1 and cam_2 never"):
+    never = (
+        r"camera cam_3: saw the board together with cam_0, cam_1 and cam_2 never, and 5 are needed; hold the board wh"
+    )
+    with pytest.raises(InputError, match=never):
         calibrate(parted, BOARD, known_lenses(rig()))
     parted[2] = half(tracks[2], 0.55, 1)
     with pytest.raises(InputError, match=r"cameras cam_[0-3] and cam_[0-3]: saw the board together with"):
         calibrate(parted, BOARD, known_lenses(rig()))
+
+
+@pytest.mark.parametrize(
+    ("width", "pace", "run", "cause"),
+    [
+        (640, 1.0, 7, r"in cam_\d its squares are ([6-9]|1[012]) pixels wide then, and 13 are needed; come nearer"),
+        (1280, 1.0, 1, r"in cam_\d it moves so fast that it is lost at once then, too fast; walk slower"),
+        (1280, 4.0, 3, r"in cam_\d it moves by \d+ squares a second then, too fast; walk slower, with more light"),
+        (1280, 0.3, 7, r"hold the board where both see it"),
+    ],
+    ids=["small", "lost at once", "fast", "neither"],
+)
+def test_why_a_camera_never_saw_the_board_together_with_others_is_told(
+    width: int, pace: float, run: int, cause: str
+) -> None:
+    """One camera and the others see it in turn, some pictures each."""
+    truth = rig(size=(width, 3 * width // 4))
+    tracks = walked(truth, fps=FPS, seconds=16, boards=lambda times: board_at(pace * times))
+    turn = (np.arange(len(tracks[3].times)) // run % 2 == 1)[:, None, None]
+    in_turn = [replace(each, corners=np.where(turn, np.nan, each.corners)) for each in tracks[:3]]
+    in_turn.append(replace(tracks[3], corners=np.where(turn, tracks[3].corners, np.nan)))
+    with pytest.raises(InputError, match=rf"cam_3: saw the board together with .* never, and 5 are .*; {cause}"):
+        first_poses(in_turn, np.zeros(4), tracks[0].times, truth.lenses, BOARD.corners)
 
 
 def test_a_camera_that_saw_the_board_too_rarely_is_named() -> None:
