@@ -257,10 +257,17 @@ export class Session {
   tick(now) {
     const { status } = this;
     if (!this.open) return [];
-    const patience = Math.max(MIN_STALL_MS, 8000 / (status.fps || 30), USUAL_GAPS * Math.max(this.usualGap, this.#gapAhead()));
+    // Nobody knows when the next frame of a recording is due that the server plays and has sent all of so far.
+    const isDue = status.source !== "recording" || !this.#hasNewest;
+    const patience = isDue ? Math.max(MIN_STALL_MS, 8000 / (status.fps || 30), USUAL_GAPS * Math.max(this.usualGap, this.#gapAhead())) : MAX_STALL_MS;
     this.isQuiet = now - this.lastPacket > Math.min(patience, MAX_STALL_MS);
     this.settle();
     return this.unacknowledged && now - this.lastAck > 900 ? this.acknowledge(null, now) : [];
+  }
+
+  get #hasNewest() {
+    const { position, window } = this.status;
+    return position?.epoch === window?.newest.epoch && position?.version === window?.newest.version;
   }
 
   /** Mean ms between the frames from the one shown to the newest, as far as they are of one run; else 0. */

@@ -375,7 +375,7 @@ test("phase: every transition", () => {
     "hello connecting, welcome waiting, frame live, broken reconnecting, broken reconnecting, hello reconnecting, welcome live, broken reconnecting, refused denied",
     "hello connecting, welcome waiting, frame live, silence stalled, broken reconnecting, hello reconnecting, starting waiting, silence waiting, frame preview, deleted deleted",
     "hello connecting, welcome waiting, silence waiting, frame live, silence stalled, pause paused, edge live, silence stalled, end ended, pause paused, seek behind, end behind, edge ended",
-    "hello connecting, recording waiting, frame replay, silence stalled, frame replay, pause paused, seek replay, end replay, edge ended, deleted deleted",
+    "hello connecting, recording waiting, frame replay, silence replay, far replay, silence stalled, frame replay, pause paused, seek replay, end replay, edge ended, deleted deleted",
     "hello connecting, old waiting, frame ended, seek behind, pause paused, edge ended, broken reconnecting, hello reconnecting, old ended",
     "hello connecting, welcome waiting, frame live, seek behind, silence stalled, late behind, broken reconnecting, hello reconnecting, welcome behind",
     "hello connecting, fail connecting, welcome waiting, fail failed", "refused denied", "broken reconnecting, hello reconnecting, deleted deleted",
@@ -465,6 +465,21 @@ test("session: recorded frames that lie far apart are not overdue before their t
   assert.equal(session.status.phase, "behind");
   session.tick(50_000);
   assert.equal(session.status.phase, "stalled");
+});
+
+test("session: a recording that the server plays is not overdue while nobody has its next frame", () => {
+  const session = new Session(0), places = (/** @type {number} */ version) => ({ oldest: { epoch: 1, version: 0 }, newest: { epoch: 1, version } });
+  session.opened(0);
+  session.control(welcome({ source: "recording", window: places(0) }));
+  session.applied(0, 1, 0, 0);
+  session.tick(50_000);
+  assert.equal(session.status.phase, "replay");
+  session.control(event("window", places(1)), 50_500);
+  session.tick(50_600);
+  assert.equal(session.status.phase, "stalled", "there is one, but it does not come");
+  session.control(event("window", places(0)), 51_000);
+  session.tick(61_000);
+  assert.equal(session.status.phase, "stalled", "that is too long for any");
 });
 
 test("session: the welcome tells the progress of the first frame and the server's clock", () => {

@@ -130,3 +130,24 @@ def test_a_server_that_does_not_offer_it_shows_no_button(page: Any, recording: P
         page.keyboard.press("g")
         assert page.evaluate(CHIP) == ""
         page.goto("about:blank")
+
+
+KEEP_CHIPS = """
+window.chips = [];
+document.addEventListener("DOMContentLoaded", () => {
+  const chip = document.getElementById("status-text"), note = () => chips.push(chip.textContent);
+  if (chip) new MutationObserver(note).observe(chip, { childList: true, characterData: true, subtree: true });
+});
+"""
+
+
+def test_frames_that_lie_seconds_apart_are_not_missed(page: Any, kernel: bytes, tmp_path: Path) -> None:
+    """Of the first one nobody knows yet when the next will come."""
+    make_clip(make_scene(200), 3, frame_ns=5_000_000_000).write(tmp_path / "clip.slod")
+    page.add_init_script(KEEP_CHIPS)
+    with running(Settings(together=True), StreamSpec(play=tmp_path / "clip.slod", loop=True)) as server:
+        page.goto(f"{server.url}/?together=1&sway=0")
+        shows(page, "s.version === 0")
+        shows(page, "s.version === 1")
+        assert "No new frames" not in page.evaluate("chips")
+        page.goto("about:blank")
