@@ -55,6 +55,9 @@ const USUAL_GAPS = 4; // so many times the usual time between two frames is a st
 /** Close codes after which another attempt cannot help. @type {Record<number, Phase>} */
 const FINAL = { 1000: "deleted", 1008: "failed", 1009: "failed", 4400: "failed", 4401: "denied", 4403: "denied", 4404: "missing", 4415: "version" };
 
+/** @type {(one: Position, other: Position) => boolean} */
+const isNewer = (one, other) => one.epoch > other.epoch || (one.epoch === other.epoch && one.version > other.version);
+
 export class Session {
   /** @param {number} now - ms */
   constructor(now) {
@@ -232,7 +235,7 @@ export class Session {
     const { status } = this, position = (status.position = { epoch: this.epoch, version });
     status.filmedMs = filmedMs;
     const { window } = status; // told a little later; what was shown can be sought
-    if (window && (window.newest.epoch < this.epoch || (window.newest.epoch === this.epoch && window.newest.version <= version))) {
+    if (window && !isNewer(window.newest, position)) {
       status.window = { ...window, newest: position };
       status.newestMs = filmedMs ?? status.newestMs;
     }
@@ -265,9 +268,10 @@ export class Session {
     return this.unacknowledged && now - this.lastAck > 900 ? this.acknowledge(null, now) : [];
   }
 
+  /** Whether the server has told of nothing newer than what is shown; its word of the newest may come late. */
   get #hasNewest() {
     const { position, window } = this.status;
-    return position?.epoch === window?.newest.epoch && position?.version === window?.newest.version;
+    return position !== null && (window === null || !isNewer(window.newest, position));
   }
 
   /** Mean ms between the frames from the one shown to the newest, as far as they are of one run; else 0. */

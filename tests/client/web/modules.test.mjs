@@ -470,14 +470,17 @@ test("session: recorded frames that lie far apart are not overdue before their t
 test("session: a recording that the server plays is not overdue while nobody has its next frame", () => {
   const session = new Session(0), places = (/** @type {number} */ version) => ({ oldest: { epoch: 1, version: 0 }, newest: { epoch: 1, version } });
   session.opened(0);
-  session.control(welcome({ source: "recording", window: places(0) }));
-  session.applied(0, 1, 0, 0);
+  session.control(welcome({ source: "recording", window: null }));
+  session.applied(1, 1, 0, 0);
+  session.tick(9000);
+  assert.equal(session.status.phase, "replay", "no word of the newest came yet");
+  session.control(event("window", places(0)), 10_000); // of before this one
   session.tick(50_000);
   assert.equal(session.status.phase, "replay");
-  session.control(event("window", places(1)), 50_500);
+  session.control(event("window", places(2)), 50_500);
   session.tick(50_600);
   assert.equal(session.status.phase, "stalled", "there is one, but it does not come");
-  session.control(event("window", places(0)), 51_000);
+  session.control(event("window", places(1)), 51_000);
   session.tick(61_000);
   assert.equal(session.status.phase, "stalled", "that is too long for any");
 });
