@@ -83,8 +83,9 @@ def view(
     with progress_bar(total=frames, unit="picture", desc="view", delay=0.5) as bar:
 
         def tell(text: str) -> None:
-            bar.set_postfix_str(text, refresh=False)
-            bar.update(1 if text.startswith("picture") else 0)
+            is_picture = text.startswith("picture")
+            bar.set_postfix_str(text, refresh=not is_picture)  # the bar itself is drawn again only as it grows
+            bar.update(1 if is_picture else 0)
 
         count = asyncio.run(record_stream(url, out, viewpoint, frames, options, tell, fps))
     return f"{count} pictures in {out}"

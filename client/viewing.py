@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
 from collections.abc import Callable
 from contextlib import aclosing
@@ -24,7 +25,10 @@ from streamlod.core.scene.interpolate import can_interpolate, interpolate
 
 _WHOLE_SECONDS = 10.0  # that the first picture may wait for all levels of its scene
 _MAX_GAP_SECONDS = 10.0  # between two states; in a film a longer one lasts as long
+_LOG = logging.getLogger(__name__)
 _QUIET_SECONDS = 2.0  # a stream that has ended is over when no packet comes for so long
+_GONE_SECONDS = 30.0  # that a film of what a server has kept waits for more, where cameras are missing
+_WITHOUT_CAMERAS = ("starting", "degraded")  # states of a stream in which no picture may ever come
 
 Tell = Callable[[str], None]
 
@@ -46,6 +50,9 @@ async def record_stream(
     as what they show, but for gaps of more than ten seconds: pictures that fall between two states show what lies
     between them (`core.scene.interpolate`), or the earlier one where a keyframe comes between.
 
+    Begun in the past (`options.start`), it is over, too, when all of that is here, the stream lacks cameras, and half a
+    minute brings nothing new.
+
     If the viewpoint moves, it finishes its path around the last scene when the stream is over.
 
     Args:
@@ -60,14 +67,18 @@ async def record_stream(
         InputError: no server answers, the viewpoint does not exist, or nothing could be recorded.
         SessionError: the server refuses us or breaks the protocol.
     """
-    take = _Take(out, viewpoint, frames, fps, tell, None if options is None else options.levels)
+    options = options or WatchOptions()
+    take = _Take(out, viewpoint, frames, fps, tell, options)
     try:
-        async with aclosing(watch(url, options or WatchOptions())) as events:
+        async with aclosing(watch(url, options)) as events:
             while not take.is_full:
                 try:
-                    async with asyncio.timeout(_QUIET_SECONDS if take.is_over else None):
+                    async with asyncio.timeout(take.patience):
                         event = await anext(events)
-                except (StopAsyncIteration, TimeoutError):
+                except TimeoutError:
+                    take.explain_end()
+                    break
+                except StopAsyncIteration:
                     break
                 await take.handle(event)
         await take.draw_kept()
@@ -80,8 +91,7 @@ async def record_stream(
     if take.count == 0:
         raise InputError(url, "the stream ended before it had a picture")
     if take.has_sound and out.suffix == ".mp4":
-        token = None if options is None else options.token
-        await asyncio.to_thread(fetch_and_add, live_address(url), token, out, take.filmed_ns, take.fps)
+        await asyncio.to_thread(fetch_and_add, live_address(url), options.token, out, take.filmed_ns, take.fps)
     return take.count
 
 
@@ -95,10 +105,11 @@ class _Take:
         frames: int | None,
         fps: float | None,
         tell: Tell,
-        levels: int | None,
+        options: WatchOptions,
     ) -> None:
         self._out, self._viewpoint, self._frames, self._fps, self._tell = out, viewpoint, frames, fps, tell
-        self._levels = levels  # asked for; None for all
+        self._levels = options.levels  # asked for; None for all
+        self._is_of_the_past = options.start is not None
         self._kept: NewScene | None = None  # the newest state without all levels, before the first picture
         self._begin_by = float("inf")
         self._splatter = Splatter()
@@ -110,7 +121,9 @@ class _Take:
         self.newest: NewScene | None = None
         self.count = 0
         self.filmed_ns: list[int | None] = []  # of each picture; None once the stream is over
-        self.has_sound = self._ended = False
+        self.has_sound = False
+        self._state = self._detail = ""  # of the stream, in the server's words
+        self._caught_up: float | None = None  # since when nothing new has come to what the server has kept
 
     @property
     def fps(self) -> float:
@@ -123,9 +136,19 @@ class _Take:
         return self._frames is not None and self.count >= self._frames
 
     @property
-    def is_over(self) -> bool:
-        """Whether the stream has ended and its last scene is here."""
-        return self._ended and (self.newest or self._kept) is not None
+    def patience(self) -> float | None:
+        """Seconds that the next event is waited for; None without end."""
+        if self._state == "ended" and (self.newest or self._kept) is not None:
+            return _QUIET_SECONDS
+        if self._caught_up is not None and self._state in _WITHOUT_CAMERAS:
+            return max(0.0, self._caught_up + _GONE_SECONDS - time.monotonic())
+        return None
+
+    def explain_end(self) -> None:
+        """Say why it is over where the stream is not."""
+        if self._state != "ended":
+            why = f"{self._state}: {self._detail}" if self._detail else self._state
+            _LOG.warning("the stream is %s; nothing new came for %.0f s, so it ends here", why, _GONE_SECONDS)
 
     def moves(self) -> bool:
         """Whether the next picture would be taken from another viewpoint than the last one."""
@@ -139,19 +162,25 @@ class _Take:
         if isinstance(event, NewScene):
             if not self._is_awaited(event):
                 await self.draw(event)
+            self._caught_up = None if self._caught_up is None else time.monotonic()
         elif isinstance(event, Welcome):
             self.has_sound = event.has_sound
-            self._ended = event.state == "ended"
-            self._tell(f"{event.stream} is {event.state}")
+            self._enter(event.state)
         elif isinstance(event, Notice) and event.name == "state":
-            self._ended = event.fields.get("state") == "ended"
-            if event.fields.get("state") == "failed":
-                raise InputError("stream", f"has failed: {event.fields.get('detail', '')}")
-            self._tell(f"stream is {event.fields.get('state')}")
+            self._enter(str(event.fields.get("state")), str(event.fields.get("detail", "")))
+            if self._state == "failed":
+                raise InputError("stream", f"has failed: {self._detail}")
+        elif isinstance(event, Notice) and event.name == "caught_up" and self._is_of_the_past:
+            self._caught_up = time.monotonic()
         elif isinstance(event, Notice) and event.name == "sound":
             self.has_sound = True
         elif isinstance(event, Notice) and event.name == "progress":
             self._tell(f"first frame {100 * float(event.fields.get('fraction') or 0):.0f} %")
+
+    def _enter(self, state: str, detail: str = "") -> None:
+        """The stream is in that state now."""
+        self._state, self._detail = state, detail
+        self._tell(f"stream is {state}{detail and ': '}{detail}")
 
     def _is_awaited(self, event: NewScene) -> bool:
         """Whether more levels of a first state are to come soon."""

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from websockets.asyncio.server import ServerConnection, serve
 
-from streamlod.client.connection.link import SUBPROTOCOL
+from streamlod.client.connection.link import SUBPROTOCOL, WatchOptions
 from streamlod.client.viewing import record_stream
 from streamlod.codec.encoder import encode_keyframe, encode_residual
 from streamlod.codec.packet.levels import split_levels
@@ -91,6 +91,41 @@ def test_the_first_picture_has_all_levels(tmp_path: Path) -> None:
 def test_a_stream_that_ends_before_all_levels_came_is_still_seen(tmp_path: Path) -> None:
     coarse, *_ = split_levels(packets(states(1))[0])
     assert recorded([coarse], tmp_path / "seen") == 1
+
+
+@pytest.mark.parametrize(("start", "state"), [((1, 0), "degraded"), ((1, 0), "starting"), (None, "degraded")])
+def test_what_a_server_has_kept_ends_where_no_camera_films(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    start: tuple[int, int] | None,
+    state: str,
+) -> None:
+    """A film of it all is whole then. Who watches live waits for the cameras instead, here until the server ends."""
+    monkeypatch.setattr("streamlod.client.viewing._GONE_SECONDS", 0.5)
+    data, is_gone = packets(states(4)), "camera phone1 is lost"
+
+    async def stream(socket: ServerConnection) -> None:
+        await socket.recv()
+        await socket.send(json.dumps(WELCOME | {"state": "live"}))
+        for packet in data[:3]:
+            await socket.send(packet)
+        await socket.send(json.dumps({"type": "event", "event": "caught_up"}))
+        await socket.send(json.dumps({"type": "event", "event": "state", "state": state, "detail": is_gone}))
+        if start is None:
+            await asyncio.sleep(1)  # more than would end it
+            await socket.send(data[3])
+            await socket.close(1000)
+        await socket.wait_closed()
+
+    async def run() -> int:
+        async with serve(stream, "127.0.0.1", 0, subprotocols=[SUBPROTOCOL], compression=None) as server:
+            url = f"ws://127.0.0.1:{server.sockets[0].getsockname()[1]}/v1/streams/main/live"
+            options = WatchOptions(start=start)
+            return await record_stream(url, tmp_path / "out", lambda header: lambda _: header.cameras[2], None, options)
+
+    assert asyncio.run(run()) == (4 if start is None else 3)
+    assert (is_gone in caplog.text) == (start is not None)
 
 
 def test_a_picture_for_each_state(tmp_path: Path) -> None:
