@@ -100,7 +100,7 @@ def evaluate(
     layout: str | None = None,
     downscale: float | None = None,
 ) -> str:
-    """Measure a file against held-out cameras, and at those that trained.
+    """Measure a file against held-out cameras, and at those that trained; without held-out ones, at these alone.
 
     The report goes to `report` as JSON, beside it a plot over frames.
     """
@@ -108,8 +108,6 @@ def evaluate(
     from streamlod.client.evaluation.measure.places import places_table
     from streamlod.client.evaluation.report.plots import frames_plot
 
-    if not test:
-        raise InputError("--test", "name at least one held-out camera, for example --test cam00")
     with progress_bar(unit="frame", desc="evaluate", delay=0.5) as bar:
 
         def tell(score: DecodedScore) -> None:
@@ -120,7 +118,8 @@ def evaluate(
     if report is not None:
         _write_text(report, json.dumps(figures, indent=1))
         _write_text(report.with_suffix(".svg"), frames_plot(scene.stem, figures["per_frame"]))
-    return f"{_summary(figures['mean'], figures['frames'])}\n{places_table(figures['places'])}".rstrip()
+    where = "held-out cameras" if test else "cameras that trained, as --test names no other"
+    return f"{_summary(figures['mean'], figures['frames'], where)}\n{places_table(figures['places'])}".rstrip()
 
 
 def export(
@@ -252,7 +251,7 @@ def _origin(viewpoint: str) -> str:
     return "averaged over the rig's cameras" if viewpoint == AVERAGE else f"as seen from {viewpoint}"
 
 
-def _summary(mean: dict[str, Any], frames: int) -> str:
+def _summary(mean: dict[str, Any], frames: int, where: str) -> str:
     rows: tuple[tuple[str, str, Callable[[float], str]], ...] = (
         ("PSNR", "psnr", lambda x: f"{x:.2f} dB"),
         ("PSNR, exposure fitted", "psnr_fitted", lambda x: f"{x:.2f} dB"),
@@ -267,7 +266,7 @@ def _summary(mean: dict[str, Any], frames: int) -> str:
         ("later frames", "train_seconds", lambda x: f"{x:.2f} s"),
         ("rendering", "render_fps", lambda x: f"{x:.1f} fps"),
     )
-    lines = [f"{frames} frames, means:"]
+    lines = [f"{frames} frames, means over the {where}:"]
     lines += [f"  {label:26s}{form(mean[key]) if mean[key] is not None else 'unknown'}" for label, key, form in rows]
     return "\n".join(lines)
 

@@ -1,4 +1,4 @@
-"""Quality, size and speed of a `.slod` file against pictures that training never saw.
+"""Quality, size and speed of a `.slod` file against pictures: of held-out cameras, and of those that trained.
 
 Everything is computed from the decoded file; how long training took comes from the figures that `streamlod train`
 leaves beside it.
@@ -41,7 +41,7 @@ class DecodedScore:
 
     Attributes:
         frame: its number in the data set.
-        picture: quality and rendering time, means over the held-out cameras.
+        picture: quality and rendering time, means over the cameras that are measured.
         key_bytes, predicted_bytes: of the frame's packets.
         moving: quality on moving pixels, None where nothing is known to move.
         places: quality at the cameras that trained and, in the first frame, beside them; as `places` has it.
@@ -67,7 +67,7 @@ def evaluate_file(
     """The report: `per_frame` and `mean`, see the README for its keys.
 
     Args:
-        test: names of the held-out cameras.
+        test: names of the held-out cameras; without any, all that trained are measured.
         images: folder for pictures of truth, rendering and difference side by side.
         downscale: how many times smaller than filmed the pictures are; None for the size of the training.
         tell: called after every frame.
@@ -81,12 +81,12 @@ def evaluate_file(
     spec = read_spec(data) if data.is_dir() else None
     with closing(_pairs(scene, data, test, layout, downscale)) as pairs:
         for decoded, frame, dataset in pairs:
-            cameras, index = dataset.cameras[: len(test)], frame.index
-            truth = frame.images[: len(test)]
+            cameras, index = dataset.cameras[: _measured(test, dataset)], frame.index
+            truth = frame.images[: len(cameras)]
             if not scores:
                 draw(decoded.scene, cameras[0])  # so that compiling is not timed
             picture, drawn = score(decoded.scene, cameras, truth, perception)
-            movers = movers or MovingPixels(dataset.calibrated[: len(test)], spec)
+            movers = movers or MovingPixels(dataset.calibrated[: len(cameras)], spec)
             moving = moving_score(drawn, truth, movers.masks(index, truth), perception.alex)
             stood = _at_cameras(decoded.scene, frame, dataset, None if scores else spec)
             scores.append(DecodedScore(index, picture, decoded.key_bytes, decoded.predicted_bytes, moving, stood))
@@ -96,7 +96,13 @@ def evaluate_file(
             tell(scores[-1])
     if not scores:
         raise InputError(scene, f"has no frame at the times of {data}; is it a recording of this data set?")
-    return _report(scores, _training_figures(scene), scene.stat().st_size, test)
+    names = tuple(camera.name for camera in cameras)
+    return _report(scores, _training_figures(scene), scene.stat().st_size, names)
+
+
+def _measured(test: tuple[str, ...], dataset: Dataset) -> int:
+    """How many of the cameras of `_dataset`, the first ones, are measured."""
+    return len(test) or len(dataset.cameras)
 
 
 def _at_cameras(scene: Scene, frame: FrameSet, dataset: Dataset, spec: SyntheticSpec | None) -> dict[str, Any]:
@@ -123,7 +129,7 @@ def _pairs(
             current = next(decoded, None)
         if current is None:
             return
-        if current.time_ns <= frame.time_ns + half_frame and frame.present[: len(test)].all():
+        if current.time_ns <= frame.time_ns + half_frame and frame.present[: _measured(test, dataset)].all():
             yield current, frame, dataset
 
 
@@ -134,6 +140,8 @@ def _dataset(
     full = open_dataset(data, layout=layout, downscale=downscale or 1.0)
     trained = (camera.name for camera in header.cameras if camera.name in full.names)
     names = tuple(dict.fromkeys((*test, *trained)))
+    if not names:
+        raise InputError(data, "has none of the cameras that trained the file; name some of its own with --test")
     full = full.select(names)
     sides = {max(camera.width, camera.height) for camera in header.cameras}
     filmed = max(full.cameras[0].width, full.cameras[0].height)
@@ -156,7 +164,7 @@ def _training_figures(scene: Path) -> dict[str, Any]:
 
 
 def _report(
-    scores: list[DecodedScore], figures: dict[str, Any], size_bytes: int, test: tuple[str, ...]
+    scores: list[DecodedScore], figures: dict[str, Any], size_bytes: int, cameras: tuple[str, ...]
 ) -> dict[str, Any]:
     predicted = [score.predicted_bytes for score in scores if score.predicted_bytes]
     keys = [score.key_bytes for score in scores if score.key_bytes]
@@ -189,7 +197,7 @@ def _report(
         },
         "places": mean_places([score.places for score in scores]),
         "frames": len(scores),
-        "cameras": list(test),
+        "cameras": list(cameras),
         "file_bytes": size_bytes,
     }
 

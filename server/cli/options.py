@@ -145,7 +145,6 @@ CaFile = Annotated[
 SlodFile = Annotated[Path, typer.Argument(metavar="FILE.slod", help="A recorded bitstream.")]
 Data = Annotated[Path, typer.Argument(metavar="DATA", help="Folder of a recording; its layout is detected.")]
 Layout = Annotated[str | None, described(_JOB["layout"])]
-Test = Annotated[str, typer.Option(metavar=_JOB["test"].metavar, help=_JOB["test"].help)]
 Device = Annotated[str, described(_JOB["device"])]
 Seed = Annotated[int, described(_JOB["seed"])]
 Frames = Annotated[int | None, described(_JOB["frames"])]

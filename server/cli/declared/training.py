@@ -10,7 +10,7 @@ import typer
 from streamlod.client.evaluation.options import STUDY_OPTIONS, TRADEOFF_OPTIONS, StudyOptions, TradeoffOptions
 from streamlod.server.cli.app import app
 from streamlod.server.cli.given import require
-from streamlod.server.cli.options import TRAINING, Data, Layout, SlodFile, Test, names_in, takes
+from streamlod.server.cli.options import TRAINING, Data, Layout, SlodFile, names_in, takes
 from streamlod.server.pipeline.job import TrainJob
 
 
@@ -44,7 +44,9 @@ def train(
 def evaluate(
     scene: SlodFile,
     data: Data,
-    test: Test,
+    test: Annotated[
+        str, typer.Option(metavar="cam00[,...]", help="Held-out cameras; without any, those that trained are measured.")
+    ] = "",
     json: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the report here, and a plot over frames beside it.")
     ] = None,
@@ -57,7 +59,7 @@ def evaluate(
         typer.Option(help="How many times smaller than filmed the pictures are; by default as small as in training."),
     ] = None,
 ) -> None:
-    """Decode a file, render the held-out cameras, and measure quality, size and speed."""
+    """Decode a file, render its cameras or held-out ones, and measure quality, size and speed."""
     require(data)
     from streamlod.client.commands import evaluate as measure
 

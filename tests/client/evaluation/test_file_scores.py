@@ -77,6 +77,23 @@ def test_the_calibration_may_have_another_unit_and_origin_than_the_file(
     assert moved["mean"]["psnr"] == pytest.approx(usual["mean"]["psnr"], abs=0.01)
 
 
+def test_a_rig_that_holds_out_no_camera_is_measured_at_its_own(
+    clip: tuple[Path, Path, list[Scene], list[bytes]], tmp_path: Path
+) -> None:
+    scene, data, scenes, _ = clip
+    names = tuple(camera.name for camera in scenes[0].header.cameras)
+    whole, named = evaluate_file(scene, data, ()), evaluate_file(scene, data, names)
+    assert whole["cameras"] == list(names)
+    assert whole["mean"]["psnr"] == named["mean"]["psnr"]
+    assert "means over the cameras that trained" in evaluate(scene, data, ())
+    assert "means over the held-out cameras" in evaluate(scene, data, names)
+    shutil.copytree(data, tmp_path / "data")
+    for number, name in enumerate(names):
+        (tmp_path / "data" / f"{name}.mp4").rename(tmp_path / "data" / f"cam{70 + number}.mp4")
+    with pytest.raises(InputError, match="has none of the cameras that trained"):
+        evaluate_file(scene, tmp_path / "data", ())
+
+
 def test_another_scene_scores_worse(clip: tuple[Path, Path, list[Scene], list[bytes]], tmp_path: Path) -> None:
     scene, data, scenes, _ = clip
     other = states(FRAMES, replace(plain_scene(seed=9), header=scenes[0].header))
