@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from streamlod.core.arrays import Float64, Int64
-from streamlod.core.calibration.track import MIN_CORNERS, Track
+from streamlod.core.calibration.track import MIN_CORNERS, SPAN_S, Track
 
 MAX_INSTANTS = 400
 _ACROSS, _DOWN = 6, 4  # cells of a picture
@@ -58,8 +58,12 @@ def covering(wishes: Sequence[Iterable[Hashable]], at_most: int) -> Int64:
 
 
 def candidates(tracks: Sequence[Track], offsets: Float64) -> Float64:
-    """[I] common times, ascending: those of pictures with the board, none nearer to another than half a period."""
-    period = min(track.period for track in tracks)
+    """[I] common times, ascending: those of pictures with the board.
+
+    None is nearer to another than half a period, or than a thirtieth of a second of slow cameras: between their
+    pictures it is hardly known where the board was, and so each picture counts at its own time, too.
+    """
+    apart = min(SPAN_S, *(track.period for track in tracks)) / 2
     found = np.zeros(0)
     for track, offset in zip(tracks, offsets, strict=True):
         times = track.times[track.seen >= MIN_CORNERS] + offset
@@ -69,9 +73,20 @@ def candidates(tracks: Sequence[Track], offsets: Float64) -> Float64:
                 np.abs(found[np.clip(place, 0, len(found) - 1)] - times),
                 np.abs(times - found[np.maximum(place - 1, 0)]),
             )
-            times = times[gap > period / 2]
+            times = times[gap > apart]
         found = np.sort(np.concatenate([found, times]))
     return found
+
+
+def independent(tracks: Sequence[Track], times: Float64) -> Int64:
+    """Numbers of the most instants among `times` [I], ascending, that are half a period apart: those nearer together
+    rest on the same pictures."""
+    apart, last, found = min(track.period for track in tracks) / 2, -np.inf, list[int]()
+    for number, time in enumerate(times):
+        if time - last > apart:
+            found.append(number)
+            last = float(time)
+    return np.array(found, np.int64)
 
 
 def chosen_instants(tracks: Sequence[Track], offsets: Float64) -> Float64:

@@ -16,7 +16,7 @@ from streamlod.core.calibration.adjustment.timing import UnevenTimes, uneven_tim
 from streamlod.core.calibration.board.description import Board
 from streamlod.core.calibration.first_lens import first_lens
 from streamlod.core.calibration.graph import first_poses
-from streamlod.core.calibration.instants import chosen_instants
+from streamlod.core.calibration.instants import chosen_instants, independent
 from streamlod.core.calibration.known_lens import check_known
 from streamlod.core.calibration.stillness import check_still
 from streamlod.core.calibration.sync import first_offsets
@@ -90,7 +90,8 @@ def calibrate(tracks: Sequence[Track], board: Board, known: Mapping[str, Float64
     offsets = first_offsets(tracks, lenses, board.corners, board.centre)
     times = chosen_instants(tracks, offsets)
     first = first_poses(tracks, offsets, times, lenses, board.corners)
-    check_still(names, first.views)
+    apart = independent(tracks, times)
+    check_still(names, [view[apart] for view in first.views])
     placed = np.isfinite(first.boards[:, 0])
     times = times[placed]
     scene = AdjustedRig(lenses, first.cameras, offsets, np.zeros((len(tracks), 2)), first.boards[placed])

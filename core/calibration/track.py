@@ -12,7 +12,7 @@ MIN_CORNERS = 6  # of a picture that is used
 _STILL = 0.02  # of a period: so near to its picture's time, a corner without neighbours in time may be used
 _STRAIGHT = 0.1  # the same of one with a single neighbour, as boards do not move straight on
 _GAP = 1.5  # periods: pictures that are so much farther apart than usual are no neighbours
-_SPAN_S = 1 / 15  # between neighbours, at least: those of a fast camera lie too near to tell how a corner moves
+SPAN_S = 1 / 15  # between neighbours, at least: those of a fast camera lie too near to tell how a corner moves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,6 +24,8 @@ class CornerCurve:
         value, slope, bend: [N,J,2] pixels, pixels a second, and half the acceleration; NaN where not known.
         neighbours: [N,J,2] one over the seconds to the pictures before and behind through which the curve goes, 0 where
             it goes through none.
+        error: [N,J] pixels by which it is off at the times, as far as four pictures tell; 0 where it goes through less
+            than three.
     """
 
     picture_time: Float64
@@ -31,6 +33,7 @@ class CornerCurve:
     slope: Float64
     bend: Float64
     neighbours: Float64
+    error: Float64
 
     def at(self, times: Float64) -> Float64:
         """[N,J,2] pixels at `times` [N] by the camera's clock."""
@@ -77,7 +80,7 @@ class Track:
             np.minimum(after, len(self.times) - 1),
         )
         here = self.corners[nearest]
-        apart = max(1, round(_SPAN_S / self.period))
+        apart = max(1, round(SPAN_S / self.period))
         before, h = self._neighbour(nearest, -apart)
         behind, k = self._neighbour(nearest, apart)
         back, ahead = (here - before) / h[:, None, None], (behind - here) / k[:, None, None]
@@ -92,7 +95,29 @@ class Track:
         reach = np.where(np.isfinite(back) & np.isfinite(ahead), 1.0, np.where(alone, _STILL, _STRAIGHT))
         unusable = away > reach
         rates = [np.where(np.isfinite(b[..., 0]), 1 / s[:, None], 0.0) for b, s in ((back, h), (ahead, k))]
-        return CornerCurve(self.times[nearest], np.where(unusable, np.nan, here), slope, bend, np.stack(rates, axis=-1))
+        t = times - self.times[nearest]
+        beyond = np.abs(t * (t + h) * (t - k))[:, None]  # of a cubic, by how much it leaves a parabola through three
+        error = np.where(
+            np.isfinite(back[..., 0]) & np.isfinite(ahead[..., 0]), self._jerks(apart)[nearest] * beyond, 0
+        )
+        value = np.where(unusable, np.nan, here)
+        return CornerCurve(self.times[nearest], value, slope, bend, np.stack(rates, axis=-1), error)
+
+    def _jerks(self, apart: int) -> Float64:
+        """[K,J] a sixth of the third derivative of corners, in pixels a second cubed, by four pictures about each, so
+        many apart; the median where one of them is missing."""
+        size, count = np.full((2, *self.corners.shape[:2]), np.nan), len(self.times) - 3 * apart
+        if count > 0:
+            rows = np.arange(count)[:, None] + apart * np.arange(4)
+            times, found = self.times[rows], self.corners[rows]
+            for order in (1, 2, 3):  # of Newton's divided differences
+                found = np.diff(found, axis=1) / (times[:, order:] - times[:, :-order])[..., None, None]
+            lasting = (np.diff(times, axis=1) < (apart + _GAP) * self.period).all(axis=1)
+            jerks = np.where(lasting[:, None], np.linalg.norm(found[:, 0], axis=-1), np.nan)
+            size[0, apart : apart + count] = size[1, 2 * apart : 2 * apart + count] = jerks
+        whole = np.fmax(*size)
+        known = whole[np.isfinite(whole)]
+        return np.where(np.isfinite(whole), whole, float(np.median(known)) if len(known) else 0.0)
 
     def _neighbour(self, rows: Int64, step: int) -> tuple[Float64, Float64]:
         """[N,J,2] corners so many pictures before or after, and [N] seconds between."""

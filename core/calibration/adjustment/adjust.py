@@ -189,7 +189,8 @@ def _on_curves(scene: AdjustedRig, seen: Observations) -> _OnCurves:
     by_readout = place + t * seen.slope / seen.extent
     by_clock = -np.concatenate([np.ones_like(t), by_readout], axis=1) / pace[:, None]
     at, speed = seen.value + t * (seen.slope + t * seen.bend), seen.slope + 2 * t * seen.bend
-    return _OnCurves(at, speed, *curve_noise(t[:, 0], seen.neighbours), by_clock)
+    noise, growth = (seen.doubt[:, None] * each for each in curve_noise(t[:, 0], seen.neighbours))
+    return _OnCurves(at, speed, noise, growth, by_clock)
 
 
 def misses_of(scene: AdjustedRig, seen: Observations) -> Float64:

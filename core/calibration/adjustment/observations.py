@@ -10,6 +10,8 @@ import numpy as np
 from streamlod.core.arrays import Bool, Float64, Int64
 from streamlod.core.calibration.track import Track
 
+_CORNER = 0.2  # pixels that corners in pictures are off
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observations:
@@ -21,6 +23,8 @@ class Observations:
         value, slope, bend, neighbours: [N,2] the camera's curve of the corner, see `track.CornerCurve`.
         extent: [N,2] width and height of the camera's picture.
         since: [N] seconds from the curve's picture to the instant, by the common time.
+        doubt: [N] times as much as a corner in a picture errs, one on its curve may err because the board does not move
+            along parabolas.
     """
 
     camera: Int64
@@ -32,6 +36,7 @@ class Observations:
     neighbours: Float64
     extent: Float64
     since: Float64
+    doubt: Float64
 
     def kept(self, rows: Bool) -> Observations:
         """The part of a problem whose rows the mask `rows` [N] names."""
@@ -48,7 +53,8 @@ def observed(tracks: Sequence[Track], times: Float64, offsets: Float64, board: F
         since = (times - curve.picture_time)[instant]
         rows = [values[instant, corner] for values in (curve.value, curve.slope, curve.bend, curve.neighbours)]
         rows.append(np.tile(np.array(track.size, np.float64), (len(instant), 1)))
-        parts.append((camera, instant, board[corner], *rows, since))
+        doubt = np.hypot(1, curve.error[instant, corner] / _CORNER)
+        parts.append((camera, instant, board[corner], *rows, since, doubt))
     return Observations(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 

@@ -79,6 +79,19 @@ def test_tracks_are_parabolas_between_pictures() -> None:
     assert np.isnan(alone.value[1]).all()
 
 
+def test_how_far_corners_leave_their_curves_is_known() -> None:
+    times = np.array([0.0, 0.3, 0.7, 1.0, 1.3, 1.7, 2.0])
+    path = 5 + 30 * times - 40 * times**2 + 50 * times**3
+    corners = np.stack([path, 2 * path], axis=1)[:, None]
+    wanted = np.array([0.1, 0.85, 1.3, 1.5])  # before the first one nothing tells
+    curve = Track("a", (100, 100), times, corners).near(wanted)
+    exact = np.stack([5 + 30 * wanted - 40 * wanted**2 + 50 * wanted**3] * 2, axis=1) * [1, 2]
+    off = np.linalg.norm(curve.at(wanted)[:, 0] - exact, axis=1)
+    np.testing.assert_allclose(curve.error[1:, 0], off[1:], atol=1e-9)
+    assert curve.error[0] == 0
+    assert off[1] > 1
+
+
 def test_curves_between_pictures_of_a_fast_camera_are_as_noisy_as_at_them() -> None:
     """If they were less so, cameras would be found to read their pictures slowly, which takes times away from these."""
     times = np.arange(4000) / 30

@@ -31,7 +31,7 @@ def calibration(names: list[str], offsets: list[float], size: tuple[int, int]) -
         pose = look_at(np.array([3.0, number, 1]), np.zeros(3), UP)
         cameras.append(opencv_camera(name, matrix, pose, size, np.array([-0.1, 0.02, 0.001, -0.002, 0.003])))
     count, none = len(names), np.zeros(len(names), np.int64)
-    seen = Observations(np.arange(count), none, np.zeros((count, 3)), *np.zeros((5, count, 2)), np.zeros(count))
+    seen = Observations(np.arange(count), none, np.zeros((count, 3)), *np.zeros((5, count, 2)), *np.zeros((2, count)))
     offset, periods = np.array(offsets), np.full(count, 0.1)
     errors, uneven, places = np.zeros((count, 2)), np.zeros(count), np.zeros((0, 3))
     read = misses = np.zeros((count, 2))

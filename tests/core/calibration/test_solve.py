@@ -72,6 +72,18 @@ def test_poses_lenses_and_offsets_of_distorted_cameras_are_found() -> None:
     assert np.abs(np.array([c.intrinsics[0, 0] for c in found.cameras]) / truth.lenses[:, 0] - 1).max() < 0.005
 
 
+def test_slow_cameras_are_known_as_well_as_is_stated() -> None:
+    """At three pictures a second, nobody knows exactly where the board was between them."""
+    truth, rate = rig(size=(1280, 960), radius=2.2, arc=100), 3.0
+    offsets = np.random.default_rng(0).uniform(-0.5, 0.5, 4) / rate
+    found = calibrate(walked(truth, fps=rate, seconds=10, offsets=offsets, seed=0), BOARD)
+    degrees, metres = differences(poses_of(found), truth.poses)
+    assert degrees.max() < 0.4
+    assert metres.max() < 0.008
+    assert (degrees < 2 * found.errors[:, 0]).all()
+    assert (metres < 2 * found.errors[:, 1]).all()
+
+
 @pytest.mark.long
 def test_standard_errors_say_how_well_poses_are_known() -> None:
     """Those of all cameras, also where what is wrong is shared by all corners of a picture."""
