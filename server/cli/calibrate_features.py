@@ -39,7 +39,10 @@ def calibrate_features(data: Path, out: Path | None, apart: str | None, lenses: 
     instants = _instants(footage)
     cameras = progress_bar(footage, unit="camera", desc="looking for features")
     features = [[features_of(picture, _MOST) for picture in _at(each, instants)] for each in cameras]
-    found = calibrate_by_features(footage, features, known)
+    count = len(footage)
+    steps = count * (count - 1) // 2 + count - 1  # pairs that are compared, and cameras that are placed after the first
+    with progress_bar(total=steps, unit="step", desc="placing the cameras") as bar:
+        found = calibrate_by_features(footage, features, known, bar.update)
     if measured is not None:
         one, other, metres = measured
         found = found.scaled(metres / found.apart(one, other))

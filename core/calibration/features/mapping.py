@@ -3,7 +3,7 @@ revisited, 2016), of which the package pycolmap is used."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -46,14 +46,20 @@ def mapped(
     sizes: Sequence[tuple[int, int]],
     features: Sequence[Sequence[Features]],
     known: Mapping[str, Float64],
+    on_step: Callable[[], object] = lambda: None,
 ) -> tuple[tuple[MappedCamera, ...], Float64]:
     """The cameras, and [P,3] points that they see, in axes and units of no meaning.
 
     Args:
         features: of each camera, those of its instants. known: lenses [9] by name that are kept.
+        on_step: called once for each pair of cameras that was compared and for each camera that was placed; COLMAP
+            may begin anew, and calls it then for more cameras than there are.
     """
     colmap = _colmap()
-    pairs = {pair: _matches(features[pair[0]], features[pair[1]]) for pair in combinations(range(len(names)), 2)}
+    pairs = {}
+    for a, b in combinations(range(len(names)), 2):
+        pairs[a, b] = _matches(features[a], features[b])
+        on_step()
     with TemporaryDirectory() as folder:
         database = Path(folder) / "features.db"
         _write(colmap, database, names, sizes, features, known, pairs)
@@ -61,7 +67,9 @@ def mapped(
         listed.write_text("".join(f"{a} {b}\n" for a, b in pairs))
         colmap.verify_matches(str(database), str(listed))
         options = _options(colmap, {row + 1 for row, name in enumerate(names) if name in known})
-        models = colmap.incremental_mapping(str(database), folder, folder, options)
+        models = colmap.incremental_mapping(
+            str(database), folder, folder, options, initial_image_pair_callback=on_step, next_image_callback=on_step
+        )
     best = max(models.values(), key=lambda model: model.num_reg_images(), default=None)
     placed = {} if best is None else {int(image.name): image for image in best.images.values() if image.has_pose}
     if best is None or len(placed) < len(names):

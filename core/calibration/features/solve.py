@@ -6,7 +6,7 @@ instant are compared. So what moves tells as much as what stands, and more than 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,20 +67,23 @@ class FeatureCalibration:
 
 
 def calibrate_by_features(
-    footage: Sequence[WalkFootage], features: Sequence[Sequence[Features]], known: Mapping[str, Float64]
+    footage: Sequence[WalkFootage],
+    features: Sequence[Sequence[Features]],
+    known: Mapping[str, Float64],
+    on_step: Callable[[], object] = lambda: None,
 ) -> FeatureCalibration:
     """The rig whose cameras saw `features`, a list of instants of each, z up as the cameras are held.
 
     Lengths are in units of a third of the cameras' distance from what they see.
 
     Args:
-        known: lenses [9] by camera that are kept.
+        known: lenses [9] by camera that are kept. on_step: called as the work goes on, see `mapping.mapped`.
 
     Raises:
         InputError: cameras that share too little with the others, named.
         BackendUnavailable: pycolmap is missing.
     """
-    found, points = mapped([each.camera for each in footage], [each.size for each in footage], features, known)
+    found, points = mapped([each.camera for each in footage], [each.size for each in footage], features, known, on_step)
     poses = np.array([camera.pose for camera in found])
     to_world = _to_world(poses, points)
     placed = rigid.after(poses, rigid.inverse(to_world))

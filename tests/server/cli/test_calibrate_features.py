@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,8 @@ def test_cameras_side_by_side_are_calibrated_without_a_board(filmed: Path, tmp_p
     told = calibrated(filmed, tmp_path / "walk", "--apart", f"cam00:cam03={metres:.4f}")
     assert "transforms.json, rig.json and calibration.txt written" in told
     assert "no length is known" not in told
+    steps = CAMERAS * (CAMERAS - 1) // 2 + CAMERAS - 1  # pairs, and cameras placed beside the first
+    assert re.search(rf"placing the cameras: 100%.* {steps}/{steps} ", told)
     found = open_dataset(tmp_path / "walk").recording.cameras
     assert [camera.name for camera in found] == [camera.name for camera in truth]
     degrees, away = differences(*(np.array([rigid.pose(c.world_to_camera) for c in each]) for each in (found, truth)))
