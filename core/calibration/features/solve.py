@@ -18,7 +18,8 @@ from streamlod.core.calibration.features.mapping import MappedCamera, mapped
 from streamlod.core.calibration.walk import WalkFootage
 from streamlod.core.calibration.world import axes_of, up_of
 from streamlod.core.camera import Camera
-from streamlod.core.data.lens import opencv_camera
+from streamlod.core.data.lens import opencv_camera, undistorted_camera
+from streamlod.core.errors import InputError
 
 _LOWEST = 0.02  # part of the points that may lie below the floor, being wrong
 _DISTANCE = 3.0  # units of cameras from what they see, where no length is known
@@ -80,7 +81,7 @@ def calibrate_by_features(
         known: lenses [9] by camera that are kept. on_step: called as the work goes on, see `mapping.mapped`.
 
     Raises:
-        InputError: cameras that share too little with the others, named.
+        InputError: cameras that share too little with the others, or whose lens does not follow from it, named.
         BackendUnavailable: pycolmap is missing.
     """
     found, points = mapped([each.camera for each in footage], [each.size for each in footage], features, known, on_step)
@@ -95,8 +96,22 @@ def calibrate_by_features(
         tuple(camera.count for camera in found),
         np.array([camera.miss for camera in found]),
     )
+    for camera in rig.cameras:
+        check_lens(camera)
     centres = np.array([camera.centre for camera in rig.cameras])
     return rig.scaled(_DISTANCE / float(np.median(np.linalg.norm(centres - np.median(rig.points, axis=0), axis=1))))
+
+
+def check_lens(camera: Camera) -> None:
+    """Raise InputError for a lens whose distortion cannot be undone over all of its picture: nothing could read it."""
+    try:
+        undistorted_camera(camera)
+    except InputError as error:
+        raise InputError(
+            f"camera {camera.name}",
+            "its lens does not follow from what it shares with the others; keep a known one with --lenses, put a "
+            "camera between it and the next, or walk a board",
+        ) from error
 
 
 def _to_world(cameras: Float64, points: Float64) -> Float64:

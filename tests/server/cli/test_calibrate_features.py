@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 from typer.testing import CliRunner
 
 from streamlod.core.calibration.adjustment import rigid
+from streamlod.core.calibration.features.solve import check_lens
 from streamlod.core.data import open_dataset
+from streamlod.core.data.lens import opencv_camera
 from streamlod.core.errors import InputError
 from streamlod.server.cli.main import app
 from tests.core.calibration.alignment import differences
@@ -58,6 +61,16 @@ def test_cameras_side_by_side_are_calibrated_without_a_board(filmed: Path, tmp_p
     np.testing.assert_allclose(heights[0] - heights[0].mean(), heights[1] - heights[1].mean(), atol=0.05)  # z is up
     focal = np.array([[camera.intrinsics[0, 0] for camera in each] for each in (found, truth)])
     np.testing.assert_allclose(focal[0], focal[1], rtol=0.02)
+
+
+def test_a_lens_that_nothing_can_read_is_refused_before_it_is_written() -> None:
+    """As webcams far apart gave it: bent so much by few features that the corners of its picture fold."""
+    matrix = np.array([[991.0, 0, 639.5], [0, 991, 359.5], [0, 0, 1]])
+    for bend, refused in ((-0.2, False), (-0.309, True)):
+        camera = opencv_camera("cam_0", matrix, np.eye(4), (1280, 720), np.array([bend, 0, 0, 0, 0]))
+        told = pytest.raises(InputError, match=r"cam_0: its lens does not follow from what it shares .* --lenses")
+        with told if refused else nullcontext():
+            check_lens(camera)
 
 
 @pytest.mark.long
