@@ -54,7 +54,7 @@ const COUNT_MS = 10_000;
 /** Ask how many watch a stream, and for its cameras' pictures, while `viewer` watches. @param {URLSearchParams} options @param {string} stream @param {import("../view/viewer.js").Viewer} viewer */
 export async function countWatchers(options, stream, viewer) {
   for (; viewer.running; await new Promise((resolve) => setTimeout(resolve, COUNT_MS))) {
-    if (document.hidden || viewer.status?.phase === "reconnecting") continue;
+    if (document.hidden || ["reconnecting", "denied"].includes(viewer.status?.phase ?? "")) continue; // a server counts who comes with a bad token
     const told = (await fetchStreams(options)).find(({ id }) => id === stream);
     if (told && ["deleted", "missing"].includes(viewer.status?.phase ?? "")) location.reload(); // it was made again
     viewer.watchers = told?.viewers ?? null;

@@ -98,6 +98,25 @@ def test_pictures_taken_earlier_are_not_called_live(page: Any, clip: Clip) -> No
         assert page.evaluate(COLOUR) != RED
 
 
+def test_who_may_not_watch_any_more_does_not_go_on_asking(page: Any, clip: Clip) -> None:
+    """A token that ends while a page is open: each question with it would count against all who share its address."""
+    page.add_init_script("""
+const later = window.setTimeout.bind(window);
+window.setTimeout = (call, ms, ...all) => later(call, ms === 10_000 ? 100 : ms, ...all);
+""")
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    behaviour = Behaviour(fps=5)
+    with serving(create_app(clip, behaviour)) as url:
+        page.goto(f"{url}/?quality=high")
+        shows(page, "s.phase === 'live'")
+        behaviour.leave = (4401, "the token has expired or was withdrawn; connect with another")
+        shows(page, "s.phase === 'denied'")
+        asked.clear()
+        page.wait_for_timeout(2000)  # twenty questions
+        assert len(asked) <= 1, "one may have been on its way"
+
+
 def test_the_chip_wakes_when_something_is_wrong(page: Any, clip: Clip) -> None:
     """Controls hide from a hand that rests, but a picture that froze is said aloud."""
     page.remove_locator_handler(page.locator("body.idle"))  # no hand comes
