@@ -54,8 +54,8 @@ def paired(files: Sequence[Path], infos: Sequence[VideoInfo]) -> tuple[Grid, tup
     if missing:
         _log.warning("of %d instants, pictures are missing in: %s", len(numbers), listed(missing))
     if len(numbers) < len(counts):
-        fault = "%s: %d instants that less than half of the cameras filmed are left out"
-        _log.warning(fault, files[0].parent, len(counts) - len(numbers))
+        fault = "%s: left out are %d of %d instants, which less than half of the cameras filmed"
+        _log.warning(fault, files[0].parent, len(counts) - len(numbers), len(counts))
     return grid, numbers
 
 
