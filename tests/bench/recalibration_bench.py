@@ -124,10 +124,13 @@ def main() -> None:
     parser.add_argument("--features", action="store_true")
     parser.add_argument("--lenses", type=Path, help="folder of a calibration whose lenses are kept, with --features")
     given = parser.parse_args()
-    if given.features:
-        by_features(given.data, given.lenses)
-    else:
-        by_parts(given.data)
+    try:
+        if given.features:
+            by_features(given.data, given.lenses)
+        else:
+            by_parts(given.data)
+    except InputError as error:
+        parser.exit(1, f"refused: {error}\n")
 
 
 if __name__ == "__main__":
