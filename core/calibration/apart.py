@@ -12,6 +12,7 @@ from streamlod.core.arrays import Float64, Int64
 from streamlod.core.calibration.track import MIN_CORNERS, Track
 from streamlod.core.data.names import spoken
 from streamlod.core.errors import InputError
+from streamlod.core.nearest import nearest_of
 
 MIN_SHARED = 5  # instants that two cameras need to see together
 _SQUARE_PIXELS = 13.0  # width of a square from which most boards are found (`python -m tests.bench.board_bench`)
@@ -69,7 +70,7 @@ def _meetings(tracks: Sequence[Track], offsets: Float64, a: int, b: int) -> _Mee
         theirs = np.flatnonzero(tracks[other].seen)
         if not len(theirs):
             continue
-        near = theirs[np.abs(tracks[other].times[theirs][None] - times[:, None]).argmin(axis=1)]
+        near = theirs[nearest_of(tracks[other].times[theirs], times)]
         away = np.abs(tracks[other].times[near] - times)
         now = away <= tracks[other].period / 2
         both = max(both, int((now & (tracks[other].seen[near] >= MIN_CORNERS)).sum()))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from streamlod.core.arrays import Float64, Int64
+from streamlod.core.nearest import nearest_of
 
 MIN_CORNERS = 6  # of a picture that is used
 _STILL = 0.02  # of a period: so near to its picture's time, a corner without neighbours in time may be used
@@ -73,12 +74,7 @@ class Track:
         it, or in the next ones where these are farther. Where one of them is missing, a line holds near the picture's
         time; where both are, the corner is used at its picture's time alone.
         """
-        after = np.clip(np.searchsorted(self.times, times), 1, max(1, len(self.times) - 1))
-        nearest = np.where(
-            np.abs(self.times[after - 1] - times) <= np.abs(self.times[np.minimum(after, len(self.times) - 1)] - times),
-            after - 1,
-            np.minimum(after, len(self.times) - 1),
-        )
+        nearest = nearest_of(self.times, times)
         here = self.corners[nearest]
         apart = max(1, round(SPAN_S / self.period))
         before, h = self._neighbour(nearest, -apart)

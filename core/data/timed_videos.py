@@ -17,6 +17,7 @@ from streamlod.core.data.files import read_text
 from streamlod.core.data.sources import shown
 from streamlod.core.data.video import VideoInfo, read_video
 from streamlod.core.errors import InputError
+from streamlod.core.nearest import nearest_of
 
 _NEAR = 0.75  # intervals between instants, within which a picture is of one
 
@@ -116,17 +117,10 @@ def _moved(times: Float64, interval: float) -> tuple[Float64, Int64]:
     rows = np.full(times.shape, -1)
     for camera, column in enumerate(times.T):
         taken = column[np.isfinite(column)]
-        nearest = _nearest(instants, taken)
-        mutual = _nearest(taken, instants)[nearest] == np.arange(len(instants))
+        nearest = nearest_of(taken, instants)
+        mutual = nearest_of(instants, taken)[nearest] == np.arange(len(instants))
         good = mutual & (np.abs(taken[nearest] - instants) < _NEAR * interval)
         rows[good, camera] = nearest[good]
     reached = np.flatnonzero((rows >= 0).all(axis=1))
     common = slice(reached[0], reached[-1] + 1) if len(reached) else slice(0)
     return instants[common], rows[common]
-
-
-def _nearest(times: Float64, among: Float64) -> Int64:
-    """[N] the places in `among` [M], ascending, of what is nearest to each of `times` [N]."""
-    after = np.clip(np.searchsorted(among, times), 0, len(among) - 1)
-    before = np.maximum(after - 1, 0)
-    return np.where(np.abs(times - among[before]) < np.abs(among[after] - times), before, after)
