@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 _PATH_SIZE = 1280, 720  # pixels, where the scene has no camera
 _OLDEST = 1, 0  # the position before all others: the server begins with the oldest that it has
+_BAR_DELAY_SECONDS = 0.5  # that a bar waits: what is refused at once is told without
 AVERAGE = "average"
 TOKEN_VARIABLE = "STREAMLOD_TOKEN"
 
@@ -80,11 +81,12 @@ def view(
         raise InputError(pose, "does not exist")
     start = _OLDEST if from_start else None
     options = WatchOptions(token=os.environ.get(TOKEN_VARIABLE), start=start, levels=levels, nearest=True)
-    with progress_bar(total=frames, unit="picture", desc="view", delay=0.5) as bar:
+    with progress_bar(total=frames, unit="picture", desc="view", delay=_BAR_DELAY_SECONDS) as bar:
 
         def tell(text: str) -> None:
             is_picture = text.startswith("picture")
-            bar.set_postfix_str(text, refresh=not is_picture)  # the bar itself is drawn again only as it grows
+            # the bar itself is drawn again only as it grows, and not at all before a refusal that comes at once
+            bar.set_postfix_str(text, refresh=not is_picture and bar.format_dict["elapsed"] > _BAR_DELAY_SECONDS)
             bar.update(1 if is_picture else 0)
 
         count = asyncio.run(record_stream(url, out, viewpoint, frames, options, tell, fps))
@@ -108,7 +110,7 @@ def evaluate(
     from streamlod.client.evaluation.measure.places import places_table
     from streamlod.client.evaluation.report.plots import frames_plot
 
-    with progress_bar(unit="frame", desc="evaluate", delay=0.5) as bar:
+    with progress_bar(unit="frame", desc="evaluate", delay=_BAR_DELAY_SECONDS) as bar:
 
         def tell(score: DecodedScore) -> None:
             bar.set_postfix_str(f"{score.picture.psnr:.2f} dB", refresh=False)
@@ -212,7 +214,7 @@ def import_scene(source: str, out: Path | None, fps: float, gaussians: int, up: 
         out = out or (name if place.scheme in ("http", "https") else Path(source).with_name(name.name))
         return save_hls(source, out, os.environ.get(TOKEN_VARIABLE))
     path = Path(source)
-    with progress_bar(unit="file", desc="import", delay=0.5) as bar:
+    with progress_bar(unit="file", desc="import", delay=_BAR_DELAY_SECONDS) as bar:
         out = out or path.with_name(f"{path.stem}.slod")
         return import_files(path, out, fps, gaussians, up, lambda _: bar.update())
 
