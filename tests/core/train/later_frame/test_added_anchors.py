@@ -198,7 +198,7 @@ def test_later_frames_have_hardly_more_anchors_than_the_first(
         trainer.resume(as_keyframe(trainer.scene, index), keep_references=True)
         counts.append(trainer.scene.anchor_count)
     assert max(counts) == scene.anchor_count + most
-    assert counts[-1] > max(counts) - 5  # a few become transparent and go
+    assert counts[-1] > 0.95 * max(counts)  # a few become transparent and go
 
 
 def configuration(share: float, most: int, room: float = 0.5) -> TrainConfig:
