@@ -1,4 +1,4 @@
-"""Array types, and the check of shape and type that constructors make."""
+"""Array types, the check of shape and type that constructors make, and the nearest of sorted values."""
 
 from __future__ import annotations
 
@@ -30,3 +30,11 @@ def check_array(name: str, array: NDArray[Any], shape: tuple[int | None, ...], d
     if not fits:
         wanted = "x".join("N" if n is None else str(n) for n in shape)
         raise ValueError(f"{name} must have shape {wanted}, not {'x'.join(map(str, array.shape)) or 'scalar'}")
+
+
+def nearest_of(among: Float64, times: Float64) -> Int64:
+    """[N] places in `among` [K], ascending and not empty, of the nearest to each of `times` [N]; of two, the first."""
+    after = np.minimum(np.searchsorted(among, times), len(among) - 1)
+    before = np.maximum(after - 1, 0)
+    closer = np.abs(among[before] - times) <= np.abs(among[after] - times)
+    return np.where(closer, before, after).astype(np.int64)

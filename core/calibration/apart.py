@@ -8,11 +8,10 @@ from itertools import product
 
 import numpy as np
 
-from streamlod.core.arrays import Float64, Int64
+from streamlod.core.arrays import Float64, Int64, nearest_of
 from streamlod.core.calibration.track import MIN_CORNERS, Track
 from streamlod.core.data.names import spoken
 from streamlod.core.errors import InputError
-from streamlod.core.nearest import nearest_of
 
 MIN_SHARED = 5  # instants that two cameras need to see together
 _SQUARE_PIXELS = 13.0  # width of a square from which most boards are found (`python -m tests.bench.board_bench`)

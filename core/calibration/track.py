@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from streamlod.core.arrays import Float64, Int64
-from streamlod.core.nearest import nearest_of
+from streamlod.core.arrays import Float64, Int64, nearest_of
 
 MIN_CORNERS = 6  # of a picture that is used
 _STILL = 0.02  # of a period: so near to its picture's time, a corner without neighbours in time may be used

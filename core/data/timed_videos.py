@@ -11,13 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from streamlod.core.arrays import Float64, Int64, UInt8
+from streamlod.core.arrays import Float64, Int64, UInt8, nearest_of
 from streamlod.core.data.dataset import Film
 from streamlod.core.data.files import read_text
 from streamlod.core.data.sources import shown
 from streamlod.core.data.video import VideoInfo, read_video
 from streamlod.core.errors import InputError
-from streamlod.core.nearest import nearest_of
 
 _NEAR = 0.75  # intervals between instants, within which a picture is of one
 

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from streamlod.core.nearest import nearest_of
+from streamlod.core.arrays import nearest_of
 
 NUMBERS = st.integers(-50, 50)
 
