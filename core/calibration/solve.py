@@ -138,7 +138,7 @@ def _calibration(
         for track, lens, pose in zip(tracks, scene.lenses, placed, strict=True)
     ]
     for camera in cameras:
-        check_lens(camera)
+        check_lens(camera, "where it saw the board; walk the board through all of its picture")
     centre = np.concatenate([np.zeros(3), board.centre])
     boards = rigid.after(floor.to_world, rigid.after(scene.boards, centre))[:, 3:]
     errors = found.errors * [np.degrees(1), 1]

@@ -93,12 +93,9 @@ def check_certainty(names: Sequence[str], adjusted: Adjusted, seen: Observations
             )
 
 
-def check_lens(camera: Camera) -> None:
-    """Raise InputError for a lens whose distortion cannot be undone over the whole picture."""
+def check_lens(camera: Camera, advice: str) -> None:
+    """Raise InputError, with `advice`, for a lens whose distortion cannot be undone over the whole picture."""
     try:
         undistorted_camera(camera)
     except InputError as error:
-        raise InputError(
-            f"camera {camera.name}",
-            "its lens does not follow from where it saw the board; walk the board through all of its picture",
-        ) from error
+        raise InputError(f"camera {camera.name}", f"its lens does not follow from {advice}") from error

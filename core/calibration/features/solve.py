@@ -15,14 +15,18 @@ from streamlod.core.arrays import Float64
 from streamlod.core.calibration.adjustment import rigid
 from streamlod.core.calibration.checks.matches import Features
 from streamlod.core.calibration.features.mapping import MappedCamera, mapped
+from streamlod.core.calibration.trust import check_lens
 from streamlod.core.calibration.walk import WalkFootage
 from streamlod.core.calibration.world import axes_of, up_of
 from streamlod.core.camera import Camera
-from streamlod.core.data.lens import opencv_camera, undistorted_camera
-from streamlod.core.errors import InputError
+from streamlod.core.data.lens import opencv_camera
 
 _LOWEST = 0.02  # part of the points that may lie below the floor, being wrong
 _DISTANCE = 3.0  # units of cameras from what they see, where no length is known
+_ADVICE = (
+    "what it shares with the others; keep a known one with --lenses, put a camera between it and the next, or walk a "
+    "board"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,21 +101,9 @@ def calibrate_by_features(
         np.array([camera.miss for camera in found]),
     )
     for camera in rig.cameras:
-        check_lens(camera)
+        check_lens(camera, _ADVICE)
     centres = np.array([camera.centre for camera in rig.cameras])
     return rig.scaled(_DISTANCE / float(np.median(np.linalg.norm(centres - np.median(rig.points, axis=0), axis=1))))
-
-
-def check_lens(camera: Camera) -> None:
-    """Raise InputError for a lens whose distortion cannot be undone over all of its picture: nothing could read it."""
-    try:
-        undistorted_camera(camera)
-    except InputError as error:
-        raise InputError(
-            f"camera {camera.name}",
-            "its lens does not follow from what it shares with the others; keep a known one with --lenses, put a "
-            "camera between it and the next, or walk a board",
-        ) from error
 
 
 def _to_world(cameras: Float64, points: Float64) -> Float64:

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from streamlod.core.calibration.adjustment import rigid
-from streamlod.core.calibration.features.solve import check_lens
+from streamlod.core.calibration.trust import check_lens
 from streamlod.core.data import open_dataset
 from streamlod.core.data.lens import opencv_camera
 from streamlod.core.errors import InputError
@@ -68,9 +68,9 @@ def test_a_lens_that_nothing_can_read_is_refused_before_it_is_written() -> None:
     matrix = np.array([[991.0, 0, 639.5], [0, 991, 359.5], [0, 0, 1]])
     for bend, refused in ((-0.2, False), (-0.309, True)):
         camera = opencv_camera("cam_0", matrix, np.eye(4), (1280, 720), np.array([bend, 0, 0, 0, 0]))
-        told = pytest.raises(InputError, match=r"cam_0: its lens does not follow from what it shares .* --lenses")
+        told = pytest.raises(InputError, match=r"cam_0: its lens does not follow from what was seen; walk a board")
         with told if refused else nullcontext():
-            check_lens(camera)
+            check_lens(camera, "what was seen; walk a board")
 
 
 @pytest.mark.long
