@@ -18,7 +18,7 @@ from streamlod.client.recorder import Recorder, open_recorder
 from streamlod.client.viewpoints import CameraPath
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera import Camera
-from streamlod.core.errors import InputError
+from streamlod.core.errors import FilmCutShort, InputError, SessionError
 from streamlod.core.render.splatter import Splatter, draw_cloud, shown_at
 from streamlod.core.scene.anchors import SceneHeader
 from streamlod.core.scene.interpolate import can_interpolate, interpolate
@@ -66,9 +66,11 @@ async def record_stream(
     Raises:
         InputError: no server answers, the viewpoint does not exist, or nothing could be recorded.
         SessionError: the server refuses us or breaks the protocol.
+        FilmCutShort: either of them after the first picture; the recording is whole and holds those before it.
     """
     options = options or WatchOptions()
     take = _Take(out, viewpoint, frames, fps, tell, options)
+    cut: FilmCutShort | None = None
     try:
         async with aclosing(watch(url, options)) as events:
             while not take.is_full:
@@ -83,15 +85,20 @@ async def record_stream(
                 await take.handle(event)
         await take.draw_kept()
     except BaseException as error:
-        take.close(error)
-        raise
-    while take.newest is not None and frames is not None and not take.is_full and take.moves():
+        if take.count == 0 or not isinstance(error, InputError | SessionError):
+            take.close(error)
+            raise
+        cut = FilmCutShort(out, str(error), take.count)
+        cut.__cause__ = error
+    while cut is None and take.newest is not None and frames is not None and not take.is_full and take.moves():
         await take.draw(take.newest)
     take.close(None)
     if take.count == 0:
         raise InputError(url, "the stream ended before it had a picture")
     if take.has_sound and out.suffix == ".mp4":
         await asyncio.to_thread(fetch_and_add, live_address(url), options.token, out, take.filmed_ns, take.fps)
+    if cut is not None:
+        raise cut
     return take.count
 
 

@@ -8,6 +8,7 @@
     +-- SessionError          a peer broke the viewer protocol
     +-- RequestRefused        a server refuses a REST request
     +-- TrainingCutShort      training ended before the clip did; the frames before are in the file
+    +-- FilmCutShort          a stream could not be watched to its end; the pictures before are in the film
     +-- ModelError            training or a scene reached a state from which it can't go on
     +-- BackendUnavailable    a rendering backend or an optional package is missing
 
@@ -121,6 +122,23 @@ class TrainingCutShort(StreamlodError):
     def __str__(self) -> str:
         first = f"the first {self.kept}" if self.wanted is None else f"the first {self.kept} of {self.wanted}"
         return f"{self.reason}; {self.path} holds {first} frames, later ones are left out"
+
+
+class FilmCutShort(StreamlodError):
+    """A stream cannot be watched any more, and the film of it is whole up to there.
+
+    Args:
+        path: the film, or the folder of its pictures.
+        reason: what ended it.
+        kept: number of pictures.
+    """
+
+    def __init__(self, path: object, reason: str, kept: int) -> None:
+        super().__init__(path, reason, kept)
+        self.path, self.reason, self.kept = str(path), reason, kept
+
+    def __str__(self) -> str:
+        return f"{self.reason}; {self.path} holds what was seen before, {self.kept} pictures"
 
 
 class ModelError(StreamlodError):

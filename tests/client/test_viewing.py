@@ -20,7 +20,7 @@ from streamlod.client.viewing import record_stream
 from streamlod.codec.encoder import encode_keyframe, encode_residual
 from streamlod.codec.packet.levels import split_levels
 from streamlod.core.arrays import UInt8
-from streamlod.core.errors import InputError
+from streamlod.core.errors import FilmCutShort, InputError, SessionError
 from streamlod.core.render.splatter import draw_cloud
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import expand
@@ -49,6 +49,7 @@ def recorded(
     frames: int | None = None,
     fps: float | None = None,
     secure: ssl.SSLContext | None = None,
+    end: tuple[int, str] = (1000, ""),
 ) -> int:
     """Record a stream of these packets from its middle camera; returns the number of pictures."""
 
@@ -57,7 +58,7 @@ def recorded(
         await socket.send(json.dumps(WELCOME))
         for packet in data:
             await socket.send(packet)
-        await socket.close(1000)
+        await socket.close(*end)
 
     async def run() -> int:
         offered: list[Any] = [SUBPROTOCOL]
@@ -126,6 +127,19 @@ def test_what_a_server_has_kept_ends_where_no_camera_films(
 
     assert asyncio.run(run()) == (4 if start is None else 3)
     assert (is_gone in caplog.text) == (start is not None)
+
+
+def test_who_may_not_watch_any_more_keeps_the_film(tmp_path: Path) -> None:
+    """As where a token runs out in the evening; the error says so, and where the pictures are."""
+    end = (4401, "the token has expired or was withdrawn; connect with another")
+    with pytest.raises(FilmCutShort, match=r"the token has expired .* 3 pictures") as caught:
+        recorded(packets(states(3)), tmp_path / "a.mp4", end=end)
+    assert isinstance(caught.value.__cause__, SessionError)
+    with av.open(str(tmp_path / "a.mp4")) as film:
+        assert len(list(film.decode(video=0))) == 3
+    with pytest.raises(SessionError, match="the token has expired"):
+        recorded([], tmp_path / "b.mp4", end=end)
+    assert not (tmp_path / "b.mp4").exists()
 
 
 def test_a_picture_for_each_state(tmp_path: Path) -> None:
