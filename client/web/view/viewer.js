@@ -100,6 +100,8 @@ export class Viewer extends EventTarget {
       this.#lose(true);
     });
     canvas.addEventListener("webglcontextrestored", () => this.#restore());
+    this.ends = new AbortController();
+    document.addEventListener("visibilitychange", () => (this.lastFrame = -Infinity), { signal: this.ends.signal }); // a hidden page draws nothing
     this.resizer = new ResizeObserver(() => this.resize());
     this.resizer.observe(canvas);
     this.resize();
@@ -443,6 +445,7 @@ export class Viewer extends EventTarget {
   /** Stop everything. */
   destroy() {
     this.running = false;
+    this.ends.abort();
     this.resizer.disconnect();
     this.tell({ type: "close" });
     this.warp?.destroy();

@@ -295,3 +295,40 @@ def test_nothing_is_slow_at_drawing_before_there_is_a_picture(page: Any, clip: C
         assert page.evaluate("toasts") == []
         page.goto("about:blank")
     page.complaints.forgive("WebSocket connection to")
+
+
+HIDES_AMID_DRAWING = """
+const ask = window.requestAnimationFrame.bind(window), asked = [], { drawElements } = WebGL2RenderingContext.prototype;
+window.requestAnimationFrame = (call) => ask((now) => (document.hidden ? asked.push(call) : call(now)));
+window.hide = (hidden) => { // as browsers do
+  Object.defineProperty(document, "hidden", { value: hidden, configurable: true });
+  document.dispatchEvent(new Event("visibilitychange"));
+  if (!hidden) asked.splice(0).forEach(ask);
+};
+WebGL2RenderingContext.prototype.drawElements = function (...all) {
+  drawElements.apply(this, all);
+  if (window.hides) setTimeout(hide, 0, true);
+  window.hides = false;
+};
+"""
+
+
+def test_who_looked_at_another_tab_is_not_called_slow(page: Any, clip: Clip) -> None:
+    """Nothing is drawn in a hidden tab; how long it was hidden is not how long drawing takes."""
+    page.add_init_script(HIDES_AMID_DRAWING)
+    page.add_init_script(KEEP_TOASTS)
+    behaviour = Behaviour(newest=1)
+    with serving(create_app(clip, behaviour)) as url:
+        page.goto(url)
+        shows(page, "s.version === 1")
+        page.evaluate("hides = true")
+        behaviour.newest = 2
+        page.wait_for_function("document.hidden", polling=50, **WAIT)
+        page.wait_for_timeout(2000)
+        page.evaluate("hide(false)")
+        behaviour.newest = 3
+        shows(page, "s.version === 3")
+        page.evaluate("new Promise((drawn) => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
+        assert not any("slow" in toast for toast in page.evaluate("toasts"))
+        page.goto("about:blank")
+    page.complaints.forgive("WebSocket connection to")
