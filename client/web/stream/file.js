@@ -26,7 +26,7 @@ export class FileReader {
     if (!answer.ok) {
       const told = await answer.json().catch(() => null); // what is wrong, where the server says it (RFC 9457)
       const why = told?.detail && told.detail !== answer.statusText ? told.detail : `${answer.status} ${answer.statusText}`;
-      throw new Error(`the recording cannot be read: ${why}`);
+      throw Object.assign(new Error(`the recording cannot be read: ${why}`), { isRefused: answer.status === 401 });
     }
     return answer;
   }

@@ -63,7 +63,7 @@ export class Recording {
   /** @param {unknown} error */
   #fail(error) {
     if (this.ended) return;
-    this.session.verdict = "failed";
+    this.session.verdict = this.token && Object(error).isRefused ? "denied" : "failed";
     this.session.status.detail = error instanceof Error ? error.message : String(error);
     this.session.settle();
     clearInterval(this.ticker);

@@ -8,26 +8,25 @@ import { show } from "./status.js";
 /** An address of the server that the page is from, which may stand under a path of a proxy. @param {string} path - without a slash at its begin */
 export const serverPath = (path) => new URL(path, new URL(".", location.href)).href;
 
-/** @param {URLSearchParams} options @returns {Promise<Stream[] | null>} empty where the server does not say, null where it does not answer */
+/** @param {URLSearchParams} options @returns {Promise<{ status: number, items: Stream[] }>} without items where the server does not say; status 503 where it does not answer */
 async function askStreams(options) {
   const token = options.get("token");
   try {
     const answer = await fetch(serverPath("v1/streams"), { headers: token ? { Authorization: `Bearer ${token}` } : {} });
-    if (answer.status >= 500) return null;
-    return answer.ok ? (await answer.json()).items : [];
+    return { status: answer.status, items: answer.ok ? (await answer.json()).items : [] };
   } catch {
-    return null;
+    return { status: 503, items: [] };
   }
 }
 
 /** @param {URLSearchParams} options @returns {Promise<Stream[]>} */
-const fetchStreams = async (options) => (await askStreams(options)) ?? [];
+const fetchStreams = async (options) => (await askStreams(options)).items;
 
 /** The list, however long that takes: a server that does not answer is asked again, ever more slowly. @param {URLSearchParams} options @returns {Promise<Stream[]>} */
 async function awaitStreams(options) {
   for (let attempt = 0; ; attempt++) {
-    const streams = await askStreams(options);
-    if (streams) return streams;
+    const { status, items } = await askStreams(options);
+    if (status < 500) return items;
     const wait = Math.min(FIRST_WAIT_MS * 2 ** Math.max(attempt - 3, 0), MAX_WAIT_MS);
     const text = `Trying again in ${Math.ceil(wait / 1000)} s.`;
     show({ chip: "Connecting", tone: "busy", card: { title: "The server does not answer", text, spinner: true } });
@@ -54,8 +53,9 @@ const COUNT_MS = 10_000;
 /** Ask how many watch a stream, and for its cameras' pictures, while `viewer` watches. @param {URLSearchParams} options @param {string} stream @param {import("../view/viewer.js").Viewer} viewer */
 export async function countWatchers(options, stream, viewer) {
   for (; viewer.running; await new Promise((resolve) => setTimeout(resolve, COUNT_MS))) {
-    if (document.hidden || ["reconnecting", "denied"].includes(viewer.status?.phase ?? "")) continue; // a server counts who comes with a bad token
-    const told = (await fetchStreams(options)).find(({ id }) => id === stream);
+    if (document.hidden || ["reconnecting", "denied"].includes(viewer.status?.phase ?? "")) continue;
+    const { status, items } = await askStreams(options), told = items.find(({ id }) => id === stream);
+    if (status === 401) return; // a server counts who comes with a bad token; another one begins the page anew
     if (told && ["deleted", "missing"].includes(viewer.status?.phase ?? "")) location.reload(); // it was made again
     viewer.watchers = told?.viewers ?? null;
     viewer.pictured = told?.camera_pictures ?? [];

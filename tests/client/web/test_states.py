@@ -12,10 +12,13 @@ from streamlod.codec.container import SlodWriter
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 from streamlod.server.worker.ingest_report import complaint
+from tests.attack.test_rights import write_tokens
 from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
 from tests.client.web.watching import INSPECT, WAIT, comes_to_show, picture, shows
+from tests.server.conftest import make_clip as write_clip
 from tests.server.conftest import running
+from tests.server.large_clip import COUNTS
 
 pytestmark = pytest.mark.browser
 
@@ -98,12 +101,15 @@ def test_pictures_taken_earlier_are_not_called_live(page: Any, clip: Clip) -> No
         assert page.evaluate(COLOUR) != RED
 
 
-def test_who_may_not_watch_any_more_does_not_go_on_asking(page: Any, clip: Clip) -> None:
-    """A token that ends while a page is open: each question with it would count against all who share its address."""
-    page.add_init_script("""
+COUNTS_QUICKLY = """
 const later = window.setTimeout.bind(window);
 window.setTimeout = (call, ms, ...all) => later(call, ms === 10_000 ? 100 : ms, ...all);
-""")
+"""  # who watches is asked for every ten seconds
+
+
+def test_who_may_not_watch_any_more_does_not_go_on_asking(page: Any, clip: Clip) -> None:
+    """A token that ends while a page is open: each question with it would count against all who share its address."""
+    page.add_init_script(COUNTS_QUICKLY)
     asked: list[str] = []
     page.on("request", lambda request: asked.append(request.url))
     behaviour = Behaviour(fps=5)
@@ -115,6 +121,33 @@ window.setTimeout = (call, ms, ...all) => later(call, ms === 10_000 ? 100 : ms, 
         asked.clear()
         page.wait_for_timeout(2000)  # twenty questions
         assert len(asked) <= 1, "one may have been on its way"
+
+
+def test_a_token_that_runs_out_while_a_file_plays(page: Any, tmp_path: Path) -> None:
+    """What is here plays on, and nobody asks again and again: a server counts that. Then another token is asked for."""
+    page.add_init_script(COUNTS_QUICKLY)
+    settings = write_tokens(tmp_path, old={"rights": ["read"]}, new={"rights": ["read"]})
+    clip = write_clip(tmp_path / "clip.slod", 12, COUNTS, 1, frame_ns=1_000_000_000)  # too large to be loaded at once
+    with running(settings, StreamSpec(play=clip.path)) as server:
+        asked: list[str] = []
+        page.on("response", lambda answer: asked.append(answer.url) if answer.status == 401 else None)
+        page.goto(f"{server.url}/?token=old")
+        shows(page, "s.phase === 'replay' && s.version !== null")
+        page.evaluate("streamlod.pause()")
+        write_tokens(tmp_path, new={"rights": ["read"]})
+        server.registry.gate.reload()
+        with page.expect_response(lambda answer: answer.status == 401):
+            pass
+        page.wait_for_timeout(2000)  # twenty questions
+        assert len(asked) == 1
+        page.evaluate("streamlod.play()")
+        shows(page, "s.phase === 'denied'")
+        assert "a valid token is needed" in page.inner_text("#card-text")
+        page.fill("#card-token", "new")
+        page.click("#card-button")
+        shows(page, "s.phase === 'replay' && s.version !== null")
+        page.goto("about:blank")
+    page.complaints.forgive("status of 401")
 
 
 def test_the_chip_wakes_when_something_is_wrong(page: Any, clip: Clip) -> None:
