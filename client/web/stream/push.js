@@ -44,6 +44,7 @@ export class PushLink {
     /** @type {"connecting" | "open" | "waiting" | "ended"} */
     this.state = "connecting";
     this.detail = ""; // the server's words
+    this.isDenied = false; // for its token or link
     this.retryAt = 0;
     this.fps = 30;
     /** @type {WantedCamera[]} */
@@ -180,6 +181,7 @@ export class PushLink {
     for (const resolve of this.asking.splice(0)) resolve();
     this.counts.dropped += this.underWay.length;
     this.underWay = [];
+    this.isDenied = code === 4401;
     this.detail = reason || (code === 1006 ? "no connection" : `the server closed with code ${code}`);
     if (FINAL.has(code)) {
       this.state = "ended";

@@ -39,6 +39,7 @@ function openLink() {
     if (value !== null && options.has("signature")) address.searchParams.set(name, value);
   }
   return new PushLink(address.href, options.get("token"), () => {
+    if (filming && link.state === "ended") stop("");
     fillNames();
     if (filming && link.refusals >= MAX_REFUSALS) {
       const { name } = filming, isAnothers = link.refusal.includes("another phone");
@@ -157,7 +158,7 @@ function stop(why) {
 /** @returns {[string, string]} the tone and the sentence */
 function state() {
   if (trouble) return ["bad", trouble];
-  if (link.state === "ended") return ["bad", `The server does not take pictures from here: ${link.detail}.`];
+  if (link.state === "ended") return ["bad", `The server does not take pictures from here: ${link.detail}.${link.isDenied && options.has("token") ? " Open this page by a link with another token." : ""}`];
   if (link.state === "waiting") return ["busy", `Trying again: ${link.detail}.`];
   if (link.state === "connecting") return ["busy", "Connecting"];
   if (!link.cameras.length) return ["bad", `Stream ${stream} waits for no camera that a phone could be.`];
@@ -225,7 +226,7 @@ function showFigures() {
   const facts = {
     Picture: `${filming?.size ?? ""}, ${filming?.encoder?.codec ?? "none yet"}`,
     Sound: microphone ? (microphone.encoder ? "Opus" : "samples") : "none",
-    Sent: `${rates.sent.toFixed(0)} a second, ${((rates.bytes * 8) / 1e6).toFixed(1)} Mbit/s`,
+    Sent: since ? `${rates.sent.toFixed(0)} a second, ${((rates.bytes * 8) / 1e6).toFixed(1)} Mbit/s` : "not known yet",
     "Left out": `${dropped}`,
     Refused: counts.refused ? `${counts.refused}: ${link.refusal}` : "0",
     Clock: known ? `server's ${describeMs(clock.at(now.at) - Date.now())}, to ${clock.errorAt(now.at).toFixed(1)} ms` : "not known yet",
@@ -262,6 +263,7 @@ if (!window.isSecureContext || !navigator.mediaDevices) {
     filming?.hold(hold.ariaPressed === "true");
   });
   document.addEventListener("visibilitychange", () => {
+    before = null; // a hidden page gets few pictures or none
     if (document.hidden) return;
     if (isInterrupted) start();
     if (!filming) return;

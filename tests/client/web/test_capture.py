@@ -438,6 +438,24 @@ def test_filming_goes_on_by_itself_after_the_screen_was_locked(phone: Any) -> No
         says(page, "The camera was taken away")
 
 
+NEXT_FIGURES = """() => new Promise((resolve) => {
+  const figures = document.getElementById("figures");
+  new MutationObserver(() => resolve(figures.innerText)).observe(figures, { childList: true });
+})"""
+
+
+def test_pictures_a_second_are_counted_while_the_page_is_seen(phone: Any) -> None:
+    """A hidden page films little or nothing: it said that the camera gives too few pictures, or none are sent."""
+    with filmed(phone, 3) as (_, page):
+        assert "Mbit/s" in page.evaluate(NEXT_FIGURES) + page.evaluate(NEXT_FIGURES)
+        page.evaluate(HIDDEN, True)
+        page.evaluate("document.getElementById('picture').pause()")
+        says(page, "The camera gives no pictures")
+        page.evaluate(HIDDEN, False)
+        assert "not known yet" in page.evaluate(NEXT_FIGURES)
+        assert "Mbit/s" in page.evaluate(NEXT_FIGURES)
+
+
 TURNED = """
 const canvas = document.createElement("canvas"), pen = canvas.getContext("2d");
 window.turn = (width, height) => Object.assign(canvas, { width, height });
@@ -484,6 +502,27 @@ def test_who_may_not_film_is_told_why(phone: Any, tmp_path: Path, query: str, se
             says(page, sentence)
             assert page.is_disabled("#film")
         assert found.got == []
+
+
+def test_a_phone_whose_token_runs_out_stops_its_camera(
+    phone: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It says what to do, and does not try again, as each attempt would count against its address."""
+    monkeypatch.setattr("streamlod.server.api.access.RECHECK_SECONDS", 0.2)
+    with (
+        stage(guarded(tmp_path), rig((WIDTH, HEIGHT), 1), "all") as found,
+        opened(phone, found.page("&token=nodes")) as page,
+    ):
+        says(page, "Ready to film")
+        page.click("#film")
+        found.wait(3)
+        (tmp_path / "tokens.json").write_text("[]")
+        found.server.registry.gate.reload()
+        says(page, "the token has expired or was withdrawn; connect with another. Open this page by a link with")
+        page.wait_for_function("document.getElementById('picture').srcObject.getTracks()[0].readyState === 'ended'")
+        assert page.is_disabled("#film")
+        assert not page.is_visible("#picture")
+        assert found.server.registry.gate.refused == 0
 
 
 def test_a_link_is_good_for_one_camera(phone: Any, tmp_path: Path) -> None:
