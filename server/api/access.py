@@ -24,6 +24,7 @@ from streamlod.server.stream.worker_stream import WorkerStream
 _SAFE = {"GET", "HEAD"}  # a foreign page may send them, but cannot read the answer
 LINK_ENDED = "the link has expired, or its stream began anew; ask for another"
 RECHECK_SECONDS = 5.0  # between two looks at the token of a websocket
+_CLOSE_CODES = {401: CloseCode.UNAUTHORISED, 403: CloseCode.FORBIDDEN, 429: CloseCode.BUSY}  # the last one ends
 _REFUSAL_SECONDS = 0.5  # every refusal takes this long, whatever the reason
 
 
@@ -104,7 +105,7 @@ async def admit(websocket: WebSocket, right: Right, stream_id: str, *, signed: b
         )
     problem = None if signed else await refusal(registry.gate, websocket, right, stream_id)
     if problem is not None:
-        raise SessionError(CloseCode.FORBIDDEN if problem.status == 403 else CloseCode.UNAUTHORISED, problem.detail)
+        raise SessionError(_CLOSE_CODES[problem.status], problem.detail)
     if registry.draining:
         raise SessionError(CloseCode.STOPPING, STOPPING)
     if stream_id not in registry.streams and registry.unready:

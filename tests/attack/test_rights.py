@@ -18,7 +18,7 @@ from streamlod.server.api.access import admit
 from streamlod.server.auth.gate import Right, hash_token
 from streamlod.server.ingest.push.router import push_router
 from streamlod.server.pipeline.spec import StreamSpec
-from streamlod.server.settings import Settings
+from streamlod.server.settings import Limits, Settings
 from tests.server.conftest import Clip, running, viewing
 from tests.waiting import wait
 
@@ -69,6 +69,20 @@ def test_a_token_for_some_streams_sees_nothing_of_others(tmp_path: Path) -> None
         missing, hidden = (client.get(f"/v1/streams/{name}") for name in ("nobody", "office"))
         assert missing.status_code == hidden.status_code == 403
         assert missing.json() == hidden.json()
+
+
+def test_who_shares_an_address_with_wrong_tokens_is_let_in_a_minute_later(tmp_path: Path, clip: Clip) -> None:
+    """Until then viewers and phones are told to come again: 4401 would end their pages for good."""
+    settings = write_tokens(tmp_path, right={"rights": ["read", "publish"]})
+    settings = settings.model_copy(update={"limits": Limits(refusals_per_minute=1)})
+    with running(settings, StreamSpec(play=clip.path)) as server, server.client(headers=bearer("wrong")) as client:
+        assert client.get("/v1/streams").status_code == 401
+        with viewing(server, additional_headers=bearer("right")) as viewer:
+            assert close_code(viewer.hello) == 1013
+        server.registry.gate.limit_refusals(2)  # the one that was counted is fewer
+        with viewing(server, additional_headers=bearer("right")) as viewer:
+            viewer.hello()
+            viewer.next_packet()
 
 
 @pytest.mark.long
