@@ -10,6 +10,7 @@ const CLIENT = "streamlod-web/1.0";
 const FIRST_WAIT_MS = 500, MAX_WAIT_MS = 15_000, GROW_AFTER = 3;
 const MIN_STALL_MS = 2500; // without a frame
 const MAX_STALL_MS = 60_000;
+const FIRST_GAP_MS = 2500; // between two frames, as long as only one has come
 const USUAL_GAPS = 4; // so many times the usual time between two frames is a stall
 
 /** @typedef {{ epoch: number, version: number }} Position */
@@ -80,7 +81,8 @@ export class Session {
     this.unacknowledged = 0;
     this.lastAck = now;
     this.lastPacket = now;
-    this.usualGap = 0; // ms between two frames
+    this.usualGap = 0; // ms between two frames that arrive
+    this.filmedGap = 0; // ms between the capture times of two frames; a keyframe and the change to the newest tell it at once
     this.saidHello = now;
     this.epoch = 0;
     this.streamState = "";
@@ -232,7 +234,8 @@ export class Session {
 
   /** The state is at `version` now, filmed at `filmedMs`. @type {(version: number, decodeMs: number, now: number, filmedMs?: number | null) => object[]} */
   applied(version, decodeMs, now, filmedMs = null) {
-    const { status } = this, position = (status.position = { epoch: this.epoch, version });
+    const { status } = this, { position: before, filmedMs: beforeMs } = status, position = (status.position = { epoch: this.epoch, version });
+    if (before?.epoch === this.epoch && before.version < version && beforeMs !== null && filmedMs !== null) this.filmedGap = (filmedMs - beforeMs) / (version - before.version);
     status.filmedMs = filmedMs;
     const { window } = status; // told a little later; what was shown can be sought
     if (window && !isNewer(window.newest, position)) {
@@ -262,7 +265,8 @@ export class Session {
     if (!this.open) return [];
     // Nobody knows when the next frame of a recording is due that the server plays and has sent all of so far.
     const isDue = status.source !== "recording" || !this.#hasNewest;
-    const patience = isDue ? Math.max(MIN_STALL_MS, 8000 / (status.fps || 30), USUAL_GAPS * Math.max(this.usualGap, this.#gapAhead())) : MAX_STALL_MS;
+    const filmedGap = this.filmedGap || (status.filmedMs === null ? 0 : FIRST_GAP_MS);
+    const patience = isDue ? Math.max(MIN_STALL_MS, 8000 / (status.fps || 30), USUAL_GAPS * Math.max(this.usualGap, filmedGap, this.#gapAhead())) : MAX_STALL_MS;
     this.isQuiet = now - this.lastPacket > Math.min(patience, MAX_STALL_MS);
     this.settle();
     return this.unacknowledged && now - this.lastAck > 900 ? this.acknowledge(null, now) : [];

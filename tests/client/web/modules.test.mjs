@@ -453,6 +453,32 @@ test("session: a slow encoder is not a stall, a sudden silence is one", () => {
   assert.equal(session.status.phase, "stalled");
 });
 
+test("session: who joins a stream that has seconds between its frames waits for the second one", () => {
+  const session = new Session(0);
+  session.opened(0);
+  session.control(welcome({ window: { oldest: { epoch: 1, version: 0 }, newest: { epoch: 1, version: 10 }, newest_time_ns: 80_000_000_000 } }));
+  session.arrived(1, 100);
+  session.applied(0, 1, 100, 0); // the keyframe
+  session.arrived(1, 110);
+  session.applied(10, 1, 110, 80_000);
+  session.tick(15_000);
+  assert.equal(session.status.phase, "live");
+  session.tick(40_000);
+  assert.equal(session.status.phase, "stalled");
+});
+
+test("session: a stream of which there is one frame is not overdue at once", () => {
+  const session = new Session(0);
+  session.opened(0);
+  session.control(welcome({ window: { oldest: { epoch: 1, version: 0 }, newest: { epoch: 1, version: 0 }, newest_time_ns: 0 } }));
+  session.arrived(1, 100);
+  session.applied(0, 1, 100, 0);
+  session.tick(9000);
+  assert.equal(session.status.phase, "live");
+  session.tick(11_000);
+  assert.equal(session.status.phase, "stalled");
+});
+
 test("session: recorded frames that lie far apart are not overdue before their time", () => {
   const session = new Session(0);
   session.opened(0);
