@@ -19,12 +19,12 @@ from streamlod.client.viewpoints import CameraPath
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.errors import FilmCutShort, InputError, SessionError
+from streamlod.core.gaps import MAX_GAP_SECONDS
 from streamlod.core.render.splatter import Splatter, draw_cloud, shown_at
 from streamlod.core.scene.anchors import SceneHeader
 from streamlod.core.scene.interpolate import can_interpolate, interpolate
 
 _WHOLE_SECONDS = 10.0  # that the first picture may wait for all levels of its scene
-_MAX_GAP_SECONDS = 10.0  # between two states; in a film a longer one lasts as long
 _LOG = logging.getLogger(__name__)
 _QUIET_SECONDS = 2.0  # a stream that has ended is over when no packet comes for so long
 _GONE_SECONDS = 30.0  # that a film of what a server has kept waits for more, where cameras are missing
@@ -221,7 +221,7 @@ class _Take:
     def _frames_between(self, before: NewScene, after: NewScene) -> int:
         """Frames of the stream from one state to the next: more than one where training could not keep up."""
         seconds = (after.info.time_ns - before.info.time_ns) / 1e9
-        return max(1, round(min(seconds, _MAX_GAP_SECONDS) * self._stream_fps)) if self._keeps_time else 1
+        return max(1, round(min(seconds, MAX_GAP_SECONDS) * self._stream_fps)) if self._keeps_time else 1
 
     def _opened(self, header: SceneHeader) -> tuple[CameraPath, Recorder]:
         if self._path is None or self._recorder is None:

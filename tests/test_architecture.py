@@ -23,7 +23,7 @@ ALLOWED = {
 # stands on the server and the client, and nothing imports it.
 LAYERS = {
     "core": (
-        "close_codes errors arrays files masking runtime background_log version options progress_bar",
+        "close_codes errors arrays files gaps masking runtime background_log version options progress_bar",
         "camera", "frames", "scene", "render metrics data synthetic initialise", "train calibration",
     ),
     "core.train": (

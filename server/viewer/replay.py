@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 
+from streamlod.core.gaps import MAX_GAP_SECONDS
 from streamlod.server.protocol.packets import BinaryMessage, Position, StreamPacket
 from streamlod.server.stream.bus import Bus
 from streamlod.server.viewer.delivery import Delivery
@@ -97,6 +98,7 @@ class Replay:
         if epoch != self._epoch or now - due > _MAX_LATE_SECONDS:
             self._set_clock(self._ahead[0], now)  # times of two epochs cannot be compared
         elif due > now:
+            self._clock -= max(0.0, due - now - MAX_GAP_SECONDS / self.speed)  # nobody waits while nothing was filmed
             return False
         await self._send(self._ahead.popleft())
         return True

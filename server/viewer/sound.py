@@ -48,6 +48,8 @@ class SoundSender:
             return False
         begin_ns = shown.info.time_ns if self._until_ns is None else self._until_ns
         end_ns = None if played_ns is None else played_ns + _AHEAD_NS
+        if played_ns is not None:
+            begin_ns = max(begin_ns, played_ns - _LOW_NS)  # a replay may have leapt over a gap
         if end_ns is not None and end_ns - begin_ns < _AHEAD_NS - _LOW_NS:
             return False
         found = await self._track.read(begin_ns, end_ns)

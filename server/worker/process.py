@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 from streamlod.core.background_log import log_in_background
 from streamlod.core.errors import BackendUnavailable, BitstreamError, InputError, StreamlodError
+from streamlod.core.gaps import MAX_GAP_SECONDS
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.worker.camera_pictures import CameraPictures
@@ -268,7 +269,8 @@ def play(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
             wait = begin + info.time_ns / 1e9 - time.monotonic()
             if wait < -_BEHIND_SECONDS:  # nobody watched, and it had to wait: go on from here
                 begin -= wait
-            time.sleep(max(0.0, wait))
+            begin -= max(0.0, wait - MAX_GAP_SECONDS)  # nobody waits while nothing was filmed
+            time.sleep(min(max(0.0, wait), MAX_GAP_SECONDS))
             sender.send(Tag.PACKET, data)
             sender.send(Tag.REPORT, {"version": info.to_version, "done": number + 1})
         if not spec.loop:

@@ -11,6 +11,7 @@ const AHEAD_MS = 500; // how long a request may take
 const LATE_MS = 300; // a keyframe that takes longer is shown level by level
 const DAMAGED = "a part of the file is damaged or missing";
 const STALL_MS = 1000; // that a frame is waited for
+const MAX_GAP_MS = 10_000; // nobody waits longer where nothing was filmed
 
 export class Recording {
   /** @param {string} url @param {string | null} token @param {import("./connection.js").Handlers} handlers @param {boolean} loop - begin again at the end */
@@ -113,6 +114,8 @@ export class Recording {
     if (!this.moments.length || this.ended) return;
     if (this.busy) return this.#settle();
     if (this.playing && this.shown >= 0) {
+      const next = this.moments[this.at + 1];
+      if (next && next.timeMs - this.#media > MAX_GAP_MS) this.#goOn(next.timeMs - MAX_GAP_MS);
       const media = this.#media;
       while (this.at + 1 < this.moments.length && this.moments[this.at + 1].timeMs <= media) this.at++;
       const last = this.moments.length - 1;

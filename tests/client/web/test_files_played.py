@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,15 @@ def test_recording_plays_without_a_server(page: Any, clip: Clip, recording: Path
         assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[10].levels]
         page.evaluate("streamlod.loop(true); streamlod.play()")
         shows(page, "s.version < 10 && s.phase === 'replay'")
+
+
+def test_nobody_waits_where_nothing_was_filmed(page: Any, clip: Clip, tmp_path: Path) -> None:
+    """Ten minutes in which the phones were away; the picture before them stays for ten seconds."""
+    replace(clip, states=clip.states[:2], frame_ns=600 * 10**9, _made={}).write(tmp_path / "clip.slod")
+    with serving(create_app(clip, Behaviour(), tmp_path)) as url:
+        page.goto(f"{url}/?src=files/clip.slod&quality=high")
+        shows(page, "s.version === 0")
+        shows(page, "s.version === 1")
 
 
 def test_recording_from_a_server_that_knows_no_ranges(page: Any, clip: Clip, recording: Path, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from streamlod.codec.mp4.sound import is_piece, pack_piece, read_piece
 from streamlod.core.errors import SessionError
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.protocol.messages import parse_control
@@ -20,12 +21,15 @@ from streamlod.server.settings import Limits, Settings
 from streamlod.server.stream.bus import Bus
 from streamlod.server.stream.counters import Counters
 from streamlod.server.stream.hub import Hub
+from streamlod.server.stream.sound_track import SoundTrack
 from streamlod.server.stream.worker_stream import WorkerStream
 from streamlod.server.viewer.delivery import Delivery
 from streamlod.server.viewer.follower import Follower
 from streamlod.server.viewer.pacing import LevelControl
 from streamlod.server.viewer.replay import Replay
+from streamlod.server.viewer.sound import SoundSender
 from tests.server.conftest import Clip, kept_from, make_clip, running, viewing
+from tests.server.sounds import pieces
 
 
 @pytest.fixture(scope="module")
@@ -146,6 +150,50 @@ def test_frames_that_were_filmed_far_apart_are_replayed_far_apart(small: Clip) -
     assert not asyncio.run(replay.step(after + wait - 0.1))
     assert asyncio.run(replay.step(after + wait + 0.001))
     assert len(screen.packets) == 2
+
+
+@pytest.mark.parametrize("speed", [1.0, 4.0])
+def test_nobody_waits_where_nothing_was_filmed(small: Clip, speed: float) -> None:
+    """Phones that were away for ten minutes: the picture before stays for ten seconds of filming, sound leaps there."""
+    bus, gap_ns = Bus(10**7), 600 * 10**9
+    for number, data in enumerate(small.packets[:4]):
+        packet = stream_packet(number, 1, data)
+        bus.publish(replace(packet, info=replace(packet.info, time_ns=number * gap_ns)))
+    replay, _, screen = replaying(bus)
+    replay.speed = speed
+    asyncio.run(replay.load(Position(1, 0)))
+    now = time.monotonic()
+    for count in (2, 3):
+        while asyncio.run(replay.step(now)):
+            pass
+        assert replay.seconds_to_next(now) == pytest.approx(10 / speed)
+        assert replay.played_ns(now) == pytest.approx((count - 1) * gap_ns - 10e9)
+        now += 10 / speed + 0.001
+        assert asyncio.run(replay.step(now))
+        assert len(screen.packets) == count
+
+
+def test_sound_leaps_over_what_nobody_waits_for(small: Clip) -> None:
+    """What was heard meanwhile is not sent: a viewer would get minutes of sound at once."""
+    track = SoundTrack()
+    for piece in pieces(40.0):
+        track.add(pack_piece(piece))
+    _, delivery, screen = replaying(Bus(10**7))
+    sound = SoundSender(track, delivery, lambda: None)
+    sound.want(True)
+
+    async def play() -> None:
+        packet = stream_packet(0, 1, small.packets[0])
+        await delivery.send(BinaryMessage(packet.restricted(64)), packet)
+        for played in (0, 30 * 10**9):
+            while await sound.step(played):
+                pass
+
+    asyncio.run(play())
+    begins = [read_piece(data).begin_ns / 1e9 for data in screen.packets if is_piece(data)]
+    assert [begin for begin in begins if 4.0 < begin < 27.0] == []
+    assert begins[0] <= 0.0
+    assert 33.0 < begins[-1] < 34.0
 
 
 def test_a_new_epoch_follows_at_once_whatever_its_times_say(small: Clip) -> None:

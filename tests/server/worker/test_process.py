@@ -29,7 +29,7 @@ from streamlod.server.worker.cluster.room import Shortage
 from streamlod.server.worker.process import Resume, Sender, Tag, _told, play, receive_resume, send_resume
 from streamlod.server.worker.supervisor import Ending, Supervisor
 from tests.core.data.writers import rig
-from tests.server.conftest import Clip, running
+from tests.server.conftest import Clip, make_clip, running
 
 
 def received(clip: Clip, resume: Resume) -> list[tuple[Tag, bytes]]:
@@ -41,6 +41,15 @@ def received(clip: Clip, resume: Resume) -> list[tuple[Tag, bytes]]:
             data = ours.recv_bytes()
             messages.append((Tag(data[0]), data[1:]))
     return messages
+
+
+def test_nobody_waits_where_nothing_was_filmed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file of an evening in which the phones were away for ten minutes, and again."""
+    monkeypatch.setattr("streamlod.server.worker.process.MAX_GAP_SECONDS", 0.3)
+    clip = make_clip(tmp_path / "gaps.slod", 3, counts=(5, 10), frame_ns=600 * 10**9)
+    begin = time.monotonic()
+    assert len([tag for tag, _ in received(clip, Resume()) if tag is Tag.PACKET]) == 3
+    assert 0.6 <= time.monotonic() - begin < 60
 
 
 def test_a_file_is_played_packet_by_packet(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
