@@ -42,7 +42,10 @@ class LinkSigner:
             self._key = read_secret(self._path)
 
     def sign(self, scope: str, expires: int, incarnation: str) -> str:
-        """The query that opens `scope`, a path or one ending in ``/`` for all below, until Unix time `expires`."""
+        """The query that opens `scope`, a path or one ending in ``/`` for all below, until Unix time `expires`.
+
+        Without an incarnation it opens whichever stream has that name, also of a later server with the same secret.
+        """
         signature = self._signature(scope, str(expires), incarnation)
         fields = {"expires": str(expires), "incarnation": incarnation, "signature": signature}
         return urlencode({**fields, "scope": scope} if scope.endswith("/") else fields)
@@ -51,7 +54,7 @@ class LinkSigner:
         """Whether `query` holds a signature that covers `path` now, of a stream of that incarnation."""
         expires = query.get("expires", "")
         now_valid = _DIGITS.fullmatch(expires) is not None and time.time() < int(expires)
-        return self._is_genuine(path, query, incarnation) and now_valid
+        return self._is_genuine(path, query, "" if query.get("incarnation") == "" else incarnation) and now_valid
 
     def has_ended(self, path: str, query: Mapping[str, str]) -> bool:
         """Whether `query` once opened `path`, and nobody guessed it: it has expired, or its stream was replaced."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+import secrets
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -185,15 +186,18 @@ def _searched(say: Say) -> list[NamedSource]:
 
 
 def _prepared_phones(out: Path, say: Say) -> Path:
-    """Settings, made where there are none: with a certificate, without which phones give no page their camera, and a
-    folder that keeps for a week what is streamed."""
+    """Settings, made where there are none: with a certificate, without which phones give no page their camera, a secret
+    that keeps a phone's link good for each server of the evening, and a folder that keeps for a week what is streamed.
+    """
     from streamlod.server.service.addresses import own_address
     from streamlod.server.service.self_signed import write_self_signed
 
-    config, certificate, key = (out.with_name(out.stem + end) for end in (".toml", "-certificate.pem", "-key.pem"))
+    ends = (".toml", "-certificate.pem", "-key.pem", "-links.key")
+    config, certificate, key, links = (out.with_name(out.stem + end) for end in ends)
     if not config.exists():
         write_self_signed(certificate, key, own_address())
-        places = {"certificate": certificate, "certificate_key": key, "state": out.with_name(_KEPT)}
+        write_text(links, secrets.token_hex(), private=True)
+        places = {"certificate": certificate, "certificate_key": key, "link_key": links, "state": out.with_name(_KEPT)}
         lines = {"host": "0.0.0.0"} | {name: str(place.absolute()) for name, place in places.items()}
         text = "".join(f"{name} = {json.dumps(value)}\n" for name, value in lines.items())
         write_text(config, f"{text}\n[retention]\nseconds = {_KEPT_SECONDS}\n")

@@ -41,12 +41,14 @@ class Station:
         return found
 
     def pages(self, cameras: Sequence[str]) -> dict[str, str]:
-        """Addresses of the page that films, by camera; where nobody needs a token, one for all, by an empty name."""
+        """Addresses of the page that films, by camera; where nobody needs a token, one for all, by an empty name.
+
+        They are good for a day, and for servers that follow this one with the same `link_key`, which trains the rig.
+        """
         gate, expires = self.registry.gate, int(time.time()) + _LINK_SECONDS
         if gate.is_open:
             return {"": f"{self.address}/capture"}
-        incarnation = self.registry.streams[STREAM].incarnation
-        queries = {name: gate.links.sign(scope_of(STREAM, name), expires, incarnation) for name in cameras}
+        queries = {name: gate.links.sign(scope_of(STREAM, name), expires, "") for name in cameras}
         return {name: self.address + capture_address(STREAM, name, query) for name, query in queries.items()}
 
 

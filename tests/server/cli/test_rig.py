@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 import cv2
 import numpy as np
 import pytest
-from websockets.exceptions import WebSocketException
+from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
@@ -30,6 +30,7 @@ from streamlod.server.cli.rig import find, trouble_of, watch
 from streamlod.server.ingest import recording
 from streamlod.server.ingest.cameras.definition import read_definition
 from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
+from streamlod.server.service.station import station
 from streamlod.server.settings import Settings, load_settings
 from tests.core.data.writers import write_video
 from tests.server.ingest.rig import HEIGHT, WIDTH, burnt, number_of, write_definition
@@ -80,6 +81,8 @@ def test_the_file_names_what_gives_pictures_with_its_size(tmp_path: Path) -> Non
     assert settings.certificate_key is not None
     ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(settings.certificate, settings.certificate_key)
     assert settings.certificate_key.stat().st_mode & 0o077 == 0
+    assert settings.link_key is not None
+    assert settings.link_key.stat().st_mode & 0o077 == 0
 
 
 @pytest.mark.long
@@ -191,6 +194,26 @@ def film(
                         answers += json.loads(node.recv(60))["cameras"]
         except (WebSocketException, OSError, EOFError):
             over.wait(0.1)  # the rig does not take pictures yet, or the server has ended
+
+
+def test_a_phones_link_is_good_for_the_servers_that_follow(tmp_path: Path) -> None:
+    """`rig --record`, `check` and `serve` come one after the other, while the phones' pages wait."""
+    found(tmp_path, phones=1)
+    tokens = tmp_path / "tokens.json"
+    tokens.write_text(json.dumps([{"name": "a", "sha256": hash_token("a"), "rights": ["read"], "streams": "*"}]))
+    here = {"host": "127.0.0.1", "port": 0, "tokens": tokens, "certificate": None, "certificate_key": None}
+    settings = load_settings(tmp_path / "rig.toml").model_copy(update=here)
+    with station(settings, tmp_path / "rig.json") as first:
+        query = urlsplit(first.pages(["phone1"])["phone1"]).query
+    with station(settings, tmp_path / "rig.json") as second:
+        place = f"ws://{urlsplit(second.address).netloc}/v1/streams/main/ingest"
+        codes = []
+        for allowed in (query, query.replace("phone1", "phone2")):
+            with connect(f"{place}?{allowed}", subprotocols=[Subprotocol(PUSH_SUBPROTOCOL)]) as node:
+                with pytest.raises(ConnectionClosed) as caught:
+                    node.recv(60)
+                codes.append(caught.value.rcvd and caught.value.rcvd.code)
+        assert codes == [1013, 4401], "let in, but no rig takes pictures; not let in"
 
 
 @pytest.mark.long
