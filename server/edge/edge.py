@@ -8,7 +8,7 @@ from contextlib import suppress
 
 from streamlod.core.masking import masked
 from streamlod.server.api.registry import Registry
-from streamlod.server.edge.origin import OriginStream
+from streamlod.server.edge.origin import REFUSED_SECONDS, OriginStream
 from streamlod.server.edge.stream import EdgeStream
 from streamlod.server.edge.supply import StreamSource
 
@@ -43,6 +43,7 @@ class Edge:
     async def _follow(self) -> None:
         told = set[str]()  # reasons, since it last answered
         while True:
+            pause = self._poll_seconds
             try:
                 self._take_over(await self._source.streams())
                 if told:
@@ -54,10 +55,12 @@ class Edge:
                 if reason not in told and len(told) < _MAX_TOLD:
                     _LOG.warning("%s does not say which streams there are: %s", self._source.name, reason)
                     told.add(reason)
+                if isinstance(error, PermissionError):
+                    pause = max(pause, REFUSED_SECONDS)
             else:
                 with suppress(OSError):  # an origin that does not tell them has none, or those that it told before
                     self._registry.edges = self._registry.settings.edges or await self._source.edges()
-            await asyncio.sleep(self._poll_seconds)
+            await asyncio.sleep(pause)
 
     def _take_over(self, described: list[OriginStream]) -> None:
         most = self._registry.settings.limits.streams

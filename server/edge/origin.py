@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _ADDRESS = re.compile(r"https?://[A-Za-z0-9.:\[\]-]+/?")
 _ANSWER_SECONDS = 5.0
+REFUSED_SECONDS = 15.0  # until an origin that refuses us is asked again: it counts wrong tokens of an address
 _MAX_ANSWER_BYTES = 4 << 20
 _MAX_PAGES = 100
 _INCARNATION = r"[0-9a-f]{16}"
@@ -166,6 +167,8 @@ class Origin:
         """The body of a short answer."""
         body = bytearray()
         async with self.open(path, {"Accept": "application/json"}) as answer:
+            if answer.status_code == 401:
+                raise PermissionError("it answers 401: STREAMLOD_TOKEN must hold a token that is valid there")
             if not answer.is_success:
                 raise OSError(f"it answers {answer.status_code}")
             async for chunk in answer.aiter_raw():

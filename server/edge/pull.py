@@ -19,7 +19,7 @@ from streamlod.codec.mp4.sound import is_piece
 from streamlod.core.close_codes import REFUSALS, CloseCode
 from streamlod.core.errors import SessionError
 from streamlod.server.edge.ending import end
-from streamlod.server.edge.origin import Origin, OriginStream
+from streamlod.server.edge.origin import REFUSED_SECONDS, Origin, OriginStream
 from streamlod.server.edge.supply import PacketTaker, Supply
 from streamlod.server.protocol.messages import LIVE, PROTOCOL_VERSION, SUBPROTOCOL, read_object
 from streamlod.server.protocol.packets import Position
@@ -28,7 +28,6 @@ from streamlod.server.stream.bus import Bus
 
 _LOG = logging.getLogger(__name__)
 _MIN_DELAY, _MAX_DELAY = 0.25, 1.0  # seconds between attempts to connect
-_REFUSED_DELAY = 15.0  # after the origin has said that another attempt ends in the same way
 _STEADY_SECONDS = 5.0  # of connection, after which the next break is a new one
 _OPEN_SECONDS = 5.0
 _CLOSE_SECONDS = 0.5
@@ -63,7 +62,8 @@ class OriginSource:
         try:
             told = await self.origin.streams()
         except OSError as error:
-            raise OSError(f"{error or 'no answer'} ({self.origin.url})") from error
+            kind = PermissionError if isinstance(error, PermissionError) else OSError
+            raise kind(f"{error or 'no answer'} ({self.origin.url})") from error
         found = [each for each in told if not self.chosen or each.id in self.chosen]
         unknown = {each.id for each in found if not isinstance(each, OriginStream)}
         if new := unknown - self._unknown:
@@ -130,7 +130,7 @@ async def pull(origin: Origin, stream: str, packet_bytes: int, taker: PacketTake
             reason, fault = "it does not answer", f"{error} at {origin.url}"  # viewers need no addresses
         taker.on_break(reason)
         failures = 0 if time.monotonic() - begun > _STEADY_SECONDS else failures + 1
-        delay = _REFUSED_DELAY if refused else min(_MAX_DELAY, _MIN_DELAY * 2.0 ** min(failures, 10))
+        delay = REFUSED_SECONDS if refused else min(_MAX_DELAY, _MIN_DELAY * 2.0 ** min(failures, 10))
         delay *= random.uniform(0.5, 1.0)
         _LOG.warning("stream %s: the origin is lost (%s); connecting again in %.1f s", stream, fault or reason, delay)
         await asyncio.sleep(delay)
