@@ -75,7 +75,7 @@ def train_later_frame(state: State, views: Views, index: int, means: Means) -> L
     with watch.stage("compare"):
         assert state.references is not None
         assert state.filmed is not None
-        masks = change_masks(state.references, views, config.noise_floor)
+        masks = change_masks(state.references, state.filmed, views, config.noise_floor)
         pictures = Comparison(views, masks, state.references, state.filmed, state.shown)
         coarse = pictures.halved() if pictures.is_large and config.half_size_until > 0 else pictures
     with watch.stage("partition"):
@@ -106,7 +106,9 @@ def train_later_frame(state: State, views: Views, index: int, means: Means) -> L
         assert shown is not None
         if renewed:
             after = renewed_references(after, state, views, masks, shown, done=done)
-    return LaterFrame(replace(after, shown=shown), residual, update, dynamic)
+        filmed = state.filmed.clone()
+        filmed[views.usable] = views.targets[views.usable]
+    return LaterFrame(replace(after, shown=shown, filmed=filmed), residual, update, dynamic)
 
 
 def _selected(state: State, pictures: Comparison, index: int, config: PredictConfig, means: Means) -> tuple[Bool, bool]:

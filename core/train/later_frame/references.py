@@ -33,8 +33,7 @@ def renewed_references(after: State, before: State, views: Views, masks: Tensor,
     if not masks.any():
         return after
     assert after.references is not None
-    assert after.filmed is not None
-    references, filmed = after.references.clone(), after.filmed.clone()
+    references = after.references.clone()
     least_gain = _GAIN if done else _GAIN_CUT_SHORT
     for number in torch.nonzero(masks.any(dim=2).any(dim=1))[:, 0].tolist():
         part = (number, *around(masks[number], _NEIGHBOURHOOD // 2))
@@ -44,8 +43,7 @@ def renewed_references(after: State, before: State, views: Views, masks: Tensor,
         reached = torch.where(ends, target, now)
         reached = torch.where(now.isnan(), target if done else references[part], reached)
         references[part] = torch.where(mask, reached, references[part])
-        filmed[part] = torch.where(mask, target, filmed[part])
-    return replace(after, references=references, filmed=filmed)
+    return replace(after, references=references)
 
 
 def as_filmed(state: State, views: Views, numbers: list[int]) -> State:

@@ -26,8 +26,8 @@ class State:
         references: [C,H,W,3] pictures that new ones are compared with: what was filmed when a change was last
             accepted, or what the state shows where training of that goes on; NaN for cameras not seen yet; None after
             a resume.
-        filmed: [C,H,W,3] what was filmed when a change was last accepted, also where training goes on; None: the same
-            as `references`.
+        filmed: [C,H,W,3] pictures of the latest frame, of a camera that was not there its last one; None: the same as
+            `references`.
         shown: [C,H,W,3] what the cameras would film of the state, NaN where that is not known; None likewise.
         trained: [N] bool, the anchors that the latest frame trained.
     """

@@ -13,10 +13,13 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from torch import Tensor
+from torch.nn import functional
 
 from streamlod.core.arrays import Bool, Float32, Float64
 
 _BLUR = (5, 5)  # pixels; averages the noise, keeps edges of moving things
+_FOLDED = 0.6745  # median of the absolute value of a normal variable, in standard deviations
 _NOISE_FACTOR = 5.0  # standard deviations of the blurred difference
 _MAX_FLOOR = 4.0  # floors; no camera worth using is noisier after the blur
 _SEED_FACTOR = 1.6  # a region of change needs a seed this much above the threshold
@@ -26,14 +29,9 @@ _MIN_SCORED = 16  # below so many scored anchors a mixture means nothing
 _POWER = 0.25
 
 
-def changed_pixels(reference: Float32, current: Float32, floor: float) -> Bool:
-    """[H,W] where `current` differs from `reference` (both [H,W,3] float32 in [0, 1]) by more than noise.
-
-    Args:
-        floor: smallest difference that counts, in units of [0, 1].
-    """
+def changed_pixels(reference: Float32, current: Float32, threshold: float) -> Bool:
+    """[H,W] where `current` differs from `reference` (both [H,W,3] float32 in [0, 1]) by more than `threshold`."""
     difference = _largest_difference(current, reference)
-    threshold = _threshold(difference, floor)
     weak = (difference > threshold).astype(np.uint8)
     count, labels, statistics, _ = cv2.connectedComponentsWithStats(weak, connectivity=8)
     strongest = np.zeros(count, np.float32)
@@ -50,11 +48,19 @@ def _largest_difference(one: Float32, other: Float32) -> Float32:
     return np.asarray(np.maximum(np.maximum(red, green), blue))  # four times as fast as a reduction of a short axis
 
 
-def _threshold(difference: Float32, floor: float) -> float:
-    """Difference that counts, at least `floor`: well above the noise of the differences [H,W]."""
-    # most of a picture is still, so its median difference measures the noise (0.6745 sigma of a folded normal); where
-    # most of it changes, in a flash, the median is no noise, hence the limit
-    noise = float(np.median(difference)) / 0.6745
+def noise_between(before: Tensor, now: Tensor) -> Tensor:
+    """[C] noise of each camera, from its pictures of two frames [C,H,W,3] that follow each other; NaN where one is.
+
+    It is the standard deviation of how small averages differ. Most of a picture stands still from one frame to the
+    next, so that their median tells it. References are older: shade and exposure that have drifted since are no noise.
+    """
+    averages = functional.avg_pool2d((now - before).permute(0, 3, 1, 2), _BLUR, ceil_mode=True)
+    return averages.abs().amax(dim=1).flatten(1).median(dim=1).values / _FOLDED
+
+
+def least_change(noise: float, floor: float) -> float:
+    """Difference of blurred pictures that counts, at least `floor`: well above the camera's `noise`."""
+    # where most of the picture changes, in a flash, the median is no noise, hence the limit
     return min(max(floor, _NOISE_FACTOR * noise), _MAX_FLOOR * floor)
 
 

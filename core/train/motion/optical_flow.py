@@ -13,7 +13,7 @@ from streamlod.core.arrays import Float32, UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.pictures.boxes import around
-from streamlod.core.train.pictures.parallel import map_pairs
+from streamlod.core.train.pictures.parallel import map_pictures
 from streamlod.core.train.pictures.views import Views
 
 _MIN_SIDE = 16  # pixels; the method refuses smaller pictures
@@ -52,7 +52,7 @@ def anchor_flow(field: Field, rows: Tensor, filmed: Tensor, views: Views, masks:
     changed = [number for number in views.usable if masks[number].any()]
     parts = [(number, *around(masks[number], _ROOM)) for number in changed]
     pairs = [(filmed[part].cpu().numpy(), views.targets[part].cpu().numpy()) for part in parts]
-    for (number, *box), pixels in zip(parts, map_pairs(picture_flow, pairs), strict=True):
+    for (number, *box), pixels in zip(parts, map_pictures(picture_flow, pairs), strict=True):
         moved = torch.zeros(*masks[number].shape, 2, device=device)
         moved[tuple(box)] = torch.from_numpy(pixels).to(device)
         going = masks[number] & (moved.norm(dim=2) >= least)

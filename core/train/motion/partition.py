@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import torch
 from torch import Tensor
@@ -11,8 +10,8 @@ from torch import Tensor
 from streamlod.core.arrays import Bool
 from streamlod.core.render.backends import Backend
 from streamlod.core.train.field.field import Field
-from streamlod.core.train.motion.masks import changed_pixels
-from streamlod.core.train.pictures.parallel import map_pairs
+from streamlod.core.train.motion.masks import changed_pixels, least_change, noise_between
+from streamlod.core.train.pictures.parallel import map_pictures
 from streamlod.core.train.pictures.views import Views
 
 
@@ -40,15 +39,20 @@ class Observation:
     backend: Backend
 
 
-def change_masks(references: Tensor, views: Views, floor: float) -> Tensor:
+def change_masks(references: Tensor, before: Tensor, views: Views, floor: float) -> Tensor:
     """[C,H,W] bool: pixels of each usable camera that changed against `references` [C,H,W,3].
 
     Args:
+        before: [C,H,W,3] pictures of the frame before, which tell how noisy cameras are.
         floor: smallest change that counts, in units of [0, 1].
     """
     masks = torch.zeros(references.shape[:3], dtype=torch.bool, device=references.device)
-    pairs = [(references[number].cpu().numpy(), views.targets[number].cpu().numpy()) for number in views.usable]
-    changed = map_pairs(partial(changed_pixels, floor=floor), pairs)
+    noise = noise_between(before, views.targets).tolist()
+    rows = [
+        (references[number].cpu().numpy(), views.targets[number].cpu().numpy(), least_change(noise[number], floor))
+        for number in views.usable
+    ]
+    changed = map_pictures(changed_pixels, rows)
     for number, mask in zip(views.usable, changed, strict=True):
         masks[number] = torch.from_numpy(mask).to(references.device)
     return masks

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from streamlod.core.arrays import Float32
-from streamlod.core.train.pictures.parallel import map_pairs
+from streamlod.core.train.pictures.parallel import map_pictures
 from tests.threads import MAX_THREADS, kernel_threads
 
 
@@ -24,13 +24,13 @@ def pairs(count: int) -> list[tuple[Float32, Float32]]:
 
 
 def test_results_are_in_the_order_of_the_pairs(threads: int) -> None:
-    assert map_pairs(lambda one, other: float((one + other)[0, 0]), pairs(7)) == [11.0 * i for i in range(7)]
-    assert map_pairs(lambda one, other: 0, []) == []
+    assert map_pictures(lambda one, other: float((one + other)[0, 0]), pairs(7)) == [11.0 * i for i in range(7)]
+    assert map_pictures(lambda one, other: 0, []) == []
 
 
 def test_as_many_at_a_time_as_there_are_threads(threads: int) -> None:
     meeting = threading.Barrier(threads, timeout=60)
-    map_pairs(lambda one, other: meeting.wait(), pairs(2 * threads))  # hangs, and so fails, where fewer run
+    map_pictures(lambda one, other: meeting.wait(), pairs(2 * threads))  # hangs, and so fails, where fewer run
 
 
 def test_a_fault_of_one_is_raised(threads: int) -> None:
@@ -39,4 +39,4 @@ def test_a_fault_of_one_is_raised(threads: int) -> None:
             raise ValueError("no")
 
     with pytest.raises(ValueError, match="no"):
-        map_pairs(refuse, pairs(5))
+        map_pictures(refuse, pairs(5))
