@@ -24,7 +24,7 @@ from streamlod.server.stream.worker_stream import WorkerStream
 _SAFE = {"GET", "HEAD"}  # a foreign page may send them, but cannot read the answer
 LINK_ENDED = "the link has expired, or its stream began anew; ask for another"
 RECHECK_SECONDS = 5.0  # between two looks at the token of a websocket
-_CLOSE_CODES = {401: CloseCode.UNAUTHORISED, 403: CloseCode.FORBIDDEN, 429: CloseCode.BUSY}  # the last one ends
+_CLOSE_CODES = {401: CloseCode.UNAUTHORISED, 403: CloseCode.FORBIDDEN, 429: CloseCode.BUSY}  # 429 is over in a minute
 _REFUSAL_SECONDS = 0.5  # every refusal takes this long, whatever the reason
 
 
