@@ -36,6 +36,11 @@ WEBGPU_FLAGS = [
     "--enable-features=Vulkan",
 ]
 
+CAMERA_FLAGS = [
+    *("--use-fake-device-for-media-stream=device-count=1,fps=20", "--use-fake-ui-for-media-stream"),
+    "--disable-renderer-backgrounding",
+]
+
 
 def chromium_path() -> str | None:
     """The browser to drive: CHROMIUM, or what the system has.
@@ -94,6 +99,14 @@ def chromium(launch: Callable[[list[str]], Any]) -> Iterator[Any]:
 def chromium_webgpu(launch: Callable[[list[str]], Any]) -> Iterator[Any]:
     """A headless Chromium with WebGPU."""
     browser = launch(WEBGPU_FLAGS)
+    yield browser
+    browser.close()
+
+
+@pytest.fixture(scope="module")
+def phone(launch: Callable[[list[str]], Any]) -> Iterator[Any]:
+    """A headless Chromium with a fake camera that asks nobody."""
+    browser = launch([*TEST_FLAGS, *CAMERA_FLAGS])
     yield browser
     browser.close()
 

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from streamlod.core.arrays import UInt8
-from tests.client.web.conftest import TEST_FLAGS, chromium_path
-from tests.client.web.test_capture import CAMERA_FLAGS, opened, recorded, says
+from tests.client.web.conftest import CAMERA_FLAGS, TEST_FLAGS, chromium_path
+from tests.client.web.phones import opened, recorded, says
 from tests.server.ingest.push.stage import FPS
 from tests.server.ingest.test_walk import SIZE, seen_at
 

@@ -5,12 +5,8 @@ The stream's worker is left out: the rig takes pictures at the stream's socket i
 
 from __future__ import annotations
 
-import json
 import re
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,71 +15,16 @@ import pytest
 
 from streamlod.codec.sound.packets import write_packets
 from streamlod.core.calibration.walk import open_walk
-from streamlod.server.auth.gate import hash_token
-from streamlod.server.cli.rig import find, watch
-from streamlod.server.ingest.poses import PoseWatch
-from streamlod.server.settings import Settings, load_settings
-from tests.client.web.conftest import TEST_FLAGS, Console, chromium_path
+from streamlod.server.settings import Settings
+from tests.client.web.conftest import CAMERA_FLAGS, TEST_FLAGS, chromium_path
+from tests.client.web.phones import figure, filmed, opened, recorded, says
 from tests.client.web.test_accessible import AXE, RULES
-from tests.client.web.watching import WAIT
 from tests.core.data.writers import write_video
 from tests.opus import read_sound
 from tests.server.conftest import running
-from tests.server.ingest.push.stage import FPS, HEIGHT, WIDTH, Stage, rig, stage
+from tests.server.ingest.push.stage import FPS, HEIGHT, WIDTH, rig, stage
 
 pytestmark = pytest.mark.browser
-
-CAMERA_FLAGS = [
-    *("--use-fake-device-for-media-stream=device-count=1,fps=20", "--use-fake-ui-for-media-stream"),
-    "--disable-renderer-backgrounding",
-]
-
-
-@pytest.fixture(scope="module")
-def phone(chromium: Any) -> Iterator[Any]:
-    """A Chromium with a fake camera that asks nobody; beside the package's, as Playwright runs once."""
-    browser = chromium.browser_type.launch(executable_path=chromium_path(), args=[*TEST_FLAGS, *CAMERA_FLAGS])
-    yield browser
-    browser.close()
-
-
-@contextmanager
-def opened(phone: Any, address: str, **options: Any) -> Iterator[Any]:
-    """A page of its own at an address; its console stays empty."""
-    context = phone.new_context(viewport={"width": 400, "height": 700}, reduced_motion="reduce", **options)
-    page = context.new_page()
-    page.set_default_timeout(WAIT["timeout"])
-    page.complaints = Console(page)
-    page.goto(address)
-    yield page
-    context.close()
-    page.complaints.forgive("WebSocket connection")  # the browser's remark on connections that fail
-    assert page.complaints.lines == []
-
-
-def says(page: Any, text: str) -> None:
-    """Wait until the page's state is that sentence, or part of it."""
-    page.wait_for_function("(text) => document.getElementById('status-text').textContent.includes(text)", arg=text)
-
-
-def figure(page: Any, name: str) -> str:
-    """A figure that the page shows; the table is drawn anew each second, at first a second after the page."""
-    shown = page.wait_for_function(
-        "(name) => [...document.querySelectorAll('#figures dt')].find((term) => term.textContent === name)"
-        "?.nextSibling.textContent",
-        arg=name,
-    )
-    return str(shown.json_value())
-
-
-@contextmanager
-def filmed(phone: Any, instants: int) -> Iterator[tuple[Stage, Any]]:
-    """A page that films for a stream, which has got so many instants."""
-    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(phone, found.page()) as page:
-        says(page, "Ready to film")
-        page.click("#film")
-        found.wait(instants)
-        yield found, page
 
 
 @pytest.mark.parametrize("codec", ["h264", "jpeg"])
@@ -231,89 +172,6 @@ def test_a_slow_server_gets_newer_pictures_rather_than_older_ones(phone: Any) ->
         page.wait_for_function("!document.querySelector('#notes').textContent.includes('too slow')")
 
 
-def test_filming_goes_on_after_the_stream_was_away(phone: Any) -> None:
-    """The connection is made anew, and H.264 begins with a picture that needs none before it."""
-    with filmed(phone, 5) as (found, page):
-        found.dataset.close()
-        says(page, "Trying again: the stream takes no pictures at present")
-        with found.filming():
-            says(page, "Filming as phone1")
-            found.wait(10)
-            assert figure(page, "Refused") == "0"
-
-
-def test_a_phone_films_under_a_name_also_where_its_page_was_opened_before_the_stream(phone: Any) -> None:
-    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found:
-        found.dataset.close()
-        with opened(phone, found.page()) as page:
-            says(page, "Trying again: the stream takes no pictures at present")
-            assert page.is_disabled("#film"), "it would film as nobody"
-            with found.filming():
-                says(page, "Ready to film")
-                page.click("#film")
-                says(page, "Filming as phone1")
-                found.wait(2)
-
-
-def test_who_takes_a_name_that_is_in_use_gets_it_and_the_other_is_told(phone: Any) -> None:
-    """Also of the camera whose sound is wanted; who lost it can take it back once it is free."""
-    with stage(Settings(), rig((WIDTH, HEIGHT), 1, sound="phone1")) as found, opened(phone, found.page()) as one:
-        says(one, "Ready to film")
-        one.click("#film")
-        says(one, "Filming as phone1")
-        found.wait(3)
-        with opened(phone, found.page("&camera=phone1")) as two:
-            two.wait_for_function("document.querySelector('#name option')?.textContent === 'phone1 (in use)'")
-            two.click("#film")
-            says(two, "Filming as phone1")
-            says(one, "The server refuses phone1: it is sent by another phone or capture node now. If this is phone1, ")
-            found.wait(5)
-            two.click("#film")
-            says(two, "Ready to film")
-            one.wait_for_function("document.querySelector('#name option')?.textContent === 'phone1'")
-            one.click("#film")
-            says(one, "Filming as phone1")
-            found.wait(20)
-            says(one, "Filming as phone1")
-
-
-def test_a_phone_whose_name_was_taken_keeps_it_rather_than_film_as_a_camera_elsewhere(phone: Any) -> None:
-    """A name stands for a place: pressed once more, Film is not to send this phone's pictures as the other's."""
-    with (
-        stage(Settings(), rig((WIDTH, HEIGHT), 2)) as found,
-        opened(phone, found.page("&camera=phone1")) as one,
-        opened(phone, found.page("&camera=phone1")) as two,
-    ):
-        for page in (one, two):
-            says(page, "Ready to film")
-            page.click("#film")
-            says(page, "Filming as phone1")
-            found.wait(2)
-        says(one, "If this is phone1, press Stop there and Film here; else choose another name.")
-        assert one.input_value("#name") == "phone1"
-        assert one.eval_on_selector("#name", "(list) => list.selectedOptions[0].text") == "phone1 (in use)"
-
-
-def test_a_phone_tells_who_holds_it_what_is_wrong_with_its_place_or_name(
-    phone: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(PoseWatch, "look", lambda *_: None)  # it finds nothing in Chromium's pictures
-    with stage(Settings(), rig((WIDTH, HEIGHT), 12)) as found, opened(phone, found.page("&camera=phone1")) as page:
-        says(page, "Ready to film")
-        page.click("#film")
-        says(page, "Filming as phone1.")
-        found.wait(1)
-        assert found.dataset.rig is not None
-        for faults, sentence in (
-            (("phone11 and phone12 are exchanged",), "Filming as phone1."),
-            (("phone2 was knocked", "phone1 and phone4 are exchanged"), "but phone1 and phone4 are exchanged."),
-            (("no camera's pose holds",), "Filming as phone1, but no camera's pose holds."),
-            ((), "Filming as phone1."),
-        ):
-            found.dataset.rig.note_poses(faults)
-            says(page, sentence)
-
-
 def test_a_phone_that_has_just_begun_is_not_called_slow(phone: Any) -> None:
     """Its first second begins before it films."""
     with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(phone, "about:blank") as page:
@@ -327,225 +185,6 @@ def test_a_phone_that_has_just_begun_is_not_called_slow(phone: Any) -> None:
         found.wait(1)
         page.evaluate("() => ticks.forEach((act) => act())")
         assert "pictures" not in page.text_content("#notes")
-
-
-SLOW_ENCODER = """
-const ask = VideoEncoder.isConfigSupported.bind(VideoEncoder);
-const allowed = new Promise((resolve) => (window.allow = resolve));
-VideoEncoder.isConfigSupported = (config) => allowed.then(() => ask(config));
-"""
-
-
-def test_two_phones_that_are_offered_one_name_at_once_film_under_two(phone: Any) -> None:
-    """Both ask before either has sent a picture; who loses the name takes a free one by itself."""
-    with (
-        stage(Settings(), rig((WIDTH, HEIGHT), 2, quorum=2)) as found,
-        opened(phone, "about:blank") as one,
-        opened(phone, "about:blank") as two,
-    ):
-        for page in (one, two):
-            page.add_init_script(SLOW_ENCODER)
-            page.goto(found.page())
-            says(page, "Ready to film")
-            page.click("#film")
-            says(page, "Filming as phone1")
-        for page in (one, two):
-            page.evaluate("window.allow()")
-            page.wait_for_function("document.querySelector('#figures')?.textContent.includes('H.264')")
-        assert all(frame.present.all() for frame in found.wait(10))
-        assert {each.input_value("#name") for each in (one, two)} == {"phone1", "phone2"}
-
-
-def test_a_name_that_was_taken_while_the_browser_asked_for_the_camera_is_left_to_the_other(phone: Any) -> None:
-    with stage(Settings(), rig((WIDTH, HEIGHT), 2)) as found, opened(phone, "about:blank") as slow:
-        slow.add_init_script(
-            "const ask = navigator.mediaDevices.getUserMedia.bind(navigator.mediaDevices);"
-            "const allowed = new Promise((resolve) => (window.allow = resolve));"
-            "navigator.mediaDevices.getUserMedia = (wanted) => allowed.then(() => ask(wanted));"
-        )
-        slow.goto(found.page())
-        says(slow, "Ready to film")
-        slow.click("#film")
-        with opened(phone, found.page()) as quick:
-            says(quick, "Ready to film")
-            quick.click("#film")
-            says(quick, "Filming as phone1")
-            found.wait(1)
-            slow.evaluate("window.allow()")
-            says(slow, "Filming as phone2")
-            delivered = [frame.present[0] for frame in found.wait(10)]
-            assert sum(delivered) > 5, "on a busy machine a picture may be late"
-            says(quick, "Filming as phone1")
-            assert [page.input_value("#name") for page in (quick, slow)] == ["phone1", "phone2"]
-
-
-def test_a_page_that_is_loaded_again_is_the_same_camera(phone: Any) -> None:
-    """Its name is kept in its address, so that two phones that sleep do not come back with each other's pose."""
-    with stage(Settings(), rig((WIDTH, HEIGHT), 2)) as found, opened(phone, found.page()) as page:
-        says(page, "Ready to film")
-        page.select_option("#name", "phone2")
-        page.click("#film")
-        says(page, "Filming as phone2")
-        page.reload()
-        says(page, "Ready to film")
-        assert page.eval_on_selector("#device", "(list) => list.selectedOptions[0]?.text") == "rear camera"
-        page.click("#film")
-        says(page, "Filming as phone2")
-
-
-def test_a_phone_whose_page_is_opened_anew_is_offered_the_name_that_it_had(phone: Any) -> None:
-    """As after its battery was empty: the QR code holds no name, and the first free one may be another phone's."""
-    with stage(Settings(), rig((WIDTH, HEIGHT), 3)) as found, opened(phone, found.page()) as page:
-        says(page, "Ready to film")
-        page.select_option("#name", "phone2")
-        page.click("#film")
-        says(page, "Filming as phone2")
-        found.wait(2)
-        page.goto(found.page())
-        says(page, "Ready to film")
-        page.wait_for_function("document.getElementById('name').value === 'phone2'")
-        with opened(phone, found.page()) as other:
-            says(other, "Ready to film")
-            assert other.input_value("#name") == "phone1"
-
-
-HIDDEN = """(hidden) => {
-  Object.defineProperty(document, "hidden", { value: hidden, configurable: true });
-  document.dispatchEvent(new Event("visibilitychange"));
-}"""
-
-
-def test_filming_goes_on_by_itself_after_the_screen_was_locked(phone: Any) -> None:
-    """Browsers pause the picture or take the camera away; who takes it while the page is seen keeps it."""
-    with filmed(phone, 3) as (found, page):
-        page.evaluate(HIDDEN, True)
-        page.evaluate("document.getElementById('picture').pause()")
-        says(page, "The camera gives no pictures")
-        page.evaluate(HIDDEN, False)
-        says(page, "Filming as phone1")
-        found.wait(3)
-        end = "document.getElementById('picture').srcObject.getTracks()[0].dispatchEvent(new Event('ended'))"
-        page.evaluate(HIDDEN, True)
-        page.evaluate(end)
-        says(page, "The camera was taken away")
-        page.evaluate(HIDDEN, False)
-        says(page, "Filming as phone1")
-        found.wait(3)
-        page.evaluate(end)
-        says(page, "The camera was taken away")
-        page.evaluate(HIDDEN, True)
-        page.evaluate(HIDDEN, False)
-        says(page, "The camera was taken away")
-
-
-NEXT_FIGURES = """() => new Promise((resolve) => {
-  const figures = document.getElementById("figures");
-  new MutationObserver(() => resolve(figures.innerText)).observe(figures, { childList: true });
-})"""
-
-
-def test_pictures_a_second_are_counted_while_the_page_is_seen(phone: Any) -> None:
-    """A hidden page films little or nothing: it said that the camera gives too few pictures, or none are sent."""
-    with filmed(phone, 3) as (_, page):
-        assert "Mbit/s" in page.evaluate(NEXT_FIGURES) + page.evaluate(NEXT_FIGURES)
-        page.evaluate(HIDDEN, True)
-        page.evaluate("document.getElementById('picture').pause()")
-        says(page, "The camera gives no pictures")
-        page.evaluate(HIDDEN, False)
-        assert "not known yet" in page.evaluate(NEXT_FIGURES)
-        assert "Mbit/s" in page.evaluate(NEXT_FIGURES)
-
-
-TURNED = """
-const canvas = document.createElement("canvas"), pen = canvas.getContext("2d");
-window.turn = (width, height) => Object.assign(canvas, { width, height });
-setInterval(() => { pen.fillStyle = `rgb(0 ${Date.now() % 200} 0)`; pen.fillRect(0, 0, 999, 999); }, 40);
-navigator.mediaDevices.getUserMedia = async () => canvas.captureStream(25);
-"""
-
-
-def test_a_phone_that_is_turned_while_it_films_goes_on_when_it_is_turned_back(phone: Any) -> None:
-    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(phone, "about:blank") as page:
-        page.add_init_script(TURNED)
-        page.goto(found.page())
-        page.evaluate(f"turn({WIDTH}, {HEIGHT})")
-        says(page, "Ready to film")
-        page.click("#film")
-        says(page, "Filming as phone1")
-        found.wait(3)
-        page.evaluate(f"turn({HEIGHT}, {WIDTH})")
-        says(page, "Turn the phone")
-        page.evaluate(f"turn({WIDTH}, {HEIGHT})")
-        says(page, "Filming as phone1")
-        found.wait(3)
-        assert figure(page, "Refused") == "0"
-
-
-def test_a_camera_that_gives_nothing_any_more_is_told_of(phone: Any) -> None:
-    """As of a phone whose screen is locked."""
-    with filmed(phone, 3) as (_, page):
-        page.evaluate("document.getElementById('picture').srcObject.getTracks()[0].stop()")
-        says(page, "The camera gives no pictures")
-
-
-@pytest.mark.parametrize(
-    ("query", "sentence"),
-    [
-        ("?stream=main", "does not take pictures from here: a valid token is needed."),
-        ("?stream=main&token=reader", "does not take pictures from here: the token does not give the right to publish"),
-        ("?stream=other&token=nodes", "does not take pictures from here: there is no such stream."),
-    ],
-)
-def test_who_may_not_film_is_told_why(phone: Any, tmp_path: Path, query: str, sentence: str) -> None:
-    with stage(guarded(tmp_path), rig((WIDTH, HEIGHT), 2), "all") as found:
-        with opened(phone, f"{found.server.url}/capture{query}") as page:
-            says(page, sentence)
-            assert page.is_disabled("#film")
-        assert found.got == []
-
-
-def test_a_phone_whose_token_runs_out_stops_its_camera(
-    phone: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It says what to do, and does not try again, as each attempt would count against its address."""
-    monkeypatch.setattr("streamlod.server.api.access.RECHECK_SECONDS", 0.2)
-    with (
-        stage(guarded(tmp_path), rig((WIDTH, HEIGHT), 1), "all") as found,
-        opened(phone, found.page("&token=nodes")) as page,
-    ):
-        says(page, "Ready to film")
-        page.click("#film")
-        found.wait(3)
-        (tmp_path / "tokens.json").write_text("[]")
-        found.server.registry.gate.reload()
-        says(page, "the token has expired or was withdrawn; connect with another. Open this page by a link with")
-        page.wait_for_function("document.getElementById('picture').srcObject.getTracks()[0].readyState === 'ended'")
-        assert page.is_disabled("#film")
-        assert not page.is_visible("#picture")
-        assert found.server.registry.gate.refused == 0
-
-
-def test_a_link_is_good_for_one_camera(phone: Any, tmp_path: Path) -> None:
-    """It needs no token, and offers no other name."""
-    with stage(guarded(tmp_path), rig((WIDTH, HEIGHT), 2), "all") as found:
-        with found.server.client(headers={"Authorization": "Bearer all"}) as client:
-            link = client.post("/v1/streams/main/links", json={"path": "ingest/phone2"}).json()["url"]
-        with opened(phone, found.server.url + link) as page:
-            says(page, "Ready to film")
-            assert page.eval_on_selector_all("#name option", "(all) => all.map((e) => e.value)") == ["phone2"]
-            page.click("#film")
-            assert [list(frame.present) for frame in found.wait(3)] == [[False, True]] * 3
-
-
-def guarded(folder: Path) -> Settings:
-    """Settings with tokens: one for everything, one that reads, one of capture nodes."""
-    rights = {"all": ["read", "publish", "control"], "reader": ["read"], "nodes": ["publish"]}
-    file = folder / "tokens.json"
-    entries = [
-        {"name": name, "sha256": hash_token(name), "rights": given, "streams": "*"} for name, given in rights.items()
-    ]
-    file.write_text(json.dumps(entries))
-    return Settings(tokens=file)
 
 
 def test_a_page_without_https_says_so(chromium: Any) -> None:
@@ -583,24 +222,6 @@ def test_an_upright_phone_films_upright_pictures(chromium: Any, tmp_path: Path) 
         says(page, "Turn the phone")
         assert found.got == []
     browser.close()
-
-
-def recorded(
-    folder: Path, sources: list[str], size: tuple[int, int], seconds: float, sound: str | None = None
-) -> tuple[str, threading.Thread]:
-    """The address of a phone's page, and the thread in which `streamlod rig` records it beside `sources`."""
-    file, said = folder / "rig.json", list[str]()
-    find(sources, file, 1, size, FPS, said.append, sound=sound, overwrite=False)
-    settings = load_settings(folder / "rig.toml").model_copy(update={"host": "127.0.0.1", "port": 0})
-    recording = threading.Thread(
-        target=lambda: watch(file, folder / "walk", seconds, settings, said.append, overwrite=False), daemon=True
-    )
-    recording.start()
-    limit = time.monotonic() + 60
-    while not (pages := [line.rpartition(" ")[2] for line in said if "each phone: https://" in line]):
-        assert time.monotonic() < limit, said
-        time.sleep(0.05)
-    return pages[0], recording
 
 
 def test_a_phone_is_recorded_over_https_before_anything_is_calibrated(phone: Any, tmp_path: Path) -> None:
