@@ -49,10 +49,11 @@ def _largest_difference(one: Float32, other: Float32) -> Float32:
 
 
 def noise_between(before: Tensor, now: Tensor) -> Tensor:
-    """[C] noise of each camera, from its pictures of two frames [C,H,W,3] that follow each other; NaN where one is.
+    """[C] noise of each camera, in units of [0, 1], from its pictures of two successive frames [C,H,W,3].
 
-    It is the standard deviation of how small averages differ. Most of a picture stands still from one frame to the
-    next, so that their median tells it. References are older: shade and exposure that have drifted since are no noise.
+    It is the standard deviation of the difference of means over 5x5 pixels. Most of a picture stands still from one
+    frame to the next, so that it follows from their median. Reference pictures are older: shade and exposure have
+    drifted since. NaN for a camera whose picture is NaN.
     """
     averages = functional.avg_pool2d((now - before).permute(0, 3, 1, 2), _BLUR, ceil_mode=True)
     return averages.abs().amax(dim=1).flatten(1).median(dim=1).values / _FOLDED
