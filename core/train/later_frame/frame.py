@@ -106,9 +106,8 @@ def train_later_frame(state: State, views: Views, index: int, means: Means) -> L
         assert shown is not None
         if renewed:
             after = renewed_references(after, state, views, masks, shown, done=done)
-        filmed = state.filmed.clone()
-        filmed[views.usable] = views.targets[views.usable]
-    return LaterFrame(replace(after, shown=shown, filmed=filmed), residual, update, dynamic)
+    after = replace(after, shown=shown, filmed=views.or_before(state.filmed))
+    return LaterFrame(after, residual, update, dynamic)
 
 
 def _selected(state: State, pictures: Comparison, index: int, config: PredictConfig, means: Means) -> tuple[Bool, bool]:
