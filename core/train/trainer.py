@@ -30,7 +30,6 @@ from streamlod.core.train.keyframe.trainer import KeyframeTrainer
 from streamlod.core.train.later_frame.frame import AFTER_TRAINING, Means, train_later_frame
 from streamlod.core.train.later_frame.references import as_filmed
 from streamlod.core.train.later_frame.state import State, fresh_state
-from streamlod.core.train.optimise.loop import run_steps
 from streamlod.core.train.pictures.uploading import Uploader
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
@@ -311,13 +310,13 @@ def _run(
     preview: Callable[[], Scene] | None = None,
 ) -> list[Tensor]:
     """Train to the end, telling `on_progress` now and then; returns the losses."""
-
-    def tell(losses: list[Tensor]) -> None:
+    losses = list[Tensor]()
+    while trainer.progress < 1:
+        losses.append(trainer.step())
         if on_progress is not None and len(losses) % _REPORT_EVERY == 0:
             mean = float(torch.stack(losses[-_REPORT_EVERY:]).mean())
             on_progress(Progress(stage, trainer.progress, mean, len(trainer.field), preview))
-
-    return run_steps(trainer.step, lambda _: trainer.progress, tell)
+    return losses
 
 
 def _where_known(pictures: Tensor, otherwise: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Statistics of gradients and opacities, and the places where `GradientGrowth` adds anchors.
+"""Statistics of gradients and opacities, and the places where anchors are added by them.
 
 The rules are those of Octree-GS (docs/method.md, readings 3, 11 and 13).
 """
@@ -73,14 +73,16 @@ class NewAnchors:
 
 
 def grow(
-    field: Field, gradient: Tensor, first_threshold: float, highest: int, occupied: Field | None = None
+    field: Field, gradient: Tensor, first_threshold: float, highest: int, most: int, occupied: Field | None = None
 ) -> NewAnchors:
     """Where Gaussians pull hardest, an anchor at their own level; where harder still, one at the next finer level.
 
     Args:
+        field: N anchors that were trained.
         gradient: [N*K] mean view-space gradient norms.
         first_threshold: norm from which level 0 grows; it rises with the level.
         highest: finest level that may receive anchors.
+        most: anchors that may be added; where more would grow, those whose parents pull hardest do.
         occupied: all anchors there are, where `field` holds some of them only.
     """
     with torch.no_grad():
@@ -99,13 +101,10 @@ def grow(
                 found.append(_free_nodes(field, occupied or field, centres, np.flatnonzero(candidates), target))
     if not found:
         return NewAnchors(np.zeros((0, 3), np.int32), np.zeros(0, np.int64), np.zeros(0, np.int64))
-    return _unique(
-        NewAnchors(
-            np.concatenate([part.voxel for part in found]),
-            np.concatenate([part.level for part in found]),
-            np.concatenate([part.parent for part in found]),
-        )
+    new = NewAnchors(
+        *(np.concatenate([getattr(part, name) for part in found]) for name in ("voxel", "level", "parent"))
     )
+    return _strongest(_unique(new), gradient.reshape(len(field), -1), most)
 
 
 def earned_extra_level(field: Field, gradient: Tensor, first_threshold: float) -> Tensor:
@@ -133,6 +132,15 @@ def _unique(new: NewAnchors) -> NewAnchors:
     _, first = np.unique(np.stack([new.level, _key(new.voxel)]), axis=1, return_index=True)
     first.sort()
     return NewAnchors(new.voxel[first], new.level[first], new.parent[first])
+
+
+def _strongest(new: NewAnchors, pull: Tensor, limit: int) -> NewAnchors:
+    """At most `limit` of `new`, those whose parents pull hardest; `pull` [N,K] are the gradient norms."""
+    if len(new) <= limit:
+        return new
+    order = np.argsort(-pull.amax(dim=1).cpu().numpy()[new.parent], kind="stable")[:limit]
+    order.sort()
+    return NewAnchors(new.voxel[order], new.level[order], new.parent[order])
 
 
 def _key(voxels: Int32) -> Int64:

@@ -1,4 +1,4 @@
-"""New anchors: which of them, their first values, and the integers that are sent (paper section V-A, refinement)."""
+"""New anchors: their first values, and the integers that are sent (paper section V-A, refinement)."""
 
 from __future__ import annotations
 
@@ -13,15 +13,6 @@ from streamlod.core.train.field.field import Field
 from streamlod.core.train.growth.gradient import NewAnchors
 
 _SPREAD = 0.3  # of first offsets, in multiples of the cell: equal Gaussians would stay equal
-
-
-def strongest(new: NewAnchors, pull: Tensor, limit: int) -> NewAnchors:
-    """At most `limit` of `new`, those whose parents pull hardest; `pull` [n,K] are the parents' gradient norms."""
-    if len(new) <= limit:
-        return new
-    order = np.argsort(-pull.amax(dim=1).cpu().numpy()[new.parent], kind="stable")[:limit]
-    order.sort()
-    return NewAnchors(new.voxel[order], new.level[order], new.parent[order])
 
 
 def first_values(parents: Field, new: NewAnchors, generator: torch.Generator) -> dict[str, Tensor]:

@@ -6,11 +6,11 @@ import torch
 from torch import Tensor
 
 from streamlod.core.render.raster import Raster
+from streamlod.core.train.config import KeyframeConfig
 from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.learned import LearnedField
-from streamlod.core.train.growth.gradient import GrowthStatistics
+from streamlod.core.train.growth.gradient import GrowthStatistics, earned_extra_level, grow
 from streamlod.core.train.growth.new_anchors import first_values
-from streamlod.core.train.growth.rules import GradientGrowth
 
 
 def count(statistics: GrowthStatistics, raster: Raster, splats: Splats, rows: Tensor | None, slots: int) -> None:
@@ -25,24 +25,25 @@ def count(statistics: GrowthStatistics, raster: Raster, splats: Splats, rows: Te
 def refine(
     learned: LearnedField,
     statistics: GrowthStatistics,
-    rule: GradientGrowth,
+    config: KeyframeConfig,
     highest: int,
     most_anchors: int,
     generator: torch.Generator,
     astray: Tensor | None = None,
 ) -> None:
-    """Add and remove anchors of `learned` by `rule`.
+    """Add anchors to `learned` where gradients are large, remove what is nearly transparent.
 
     Args:
         statistics: of the steps since the last time.
         highest: finest level that may receive anchors.
         most_anchors: that there may be.
-        astray: [N] anchors to be removed whatever the rule says.
+        astray: [N] anchors to be removed whatever their opacity.
     """
     field = learned.settled
-    extra = rule.extra_levels(field, statistics)
-    new = rule.new_anchors(field, statistics, highest, max(most_anchors - len(field), 0))
-    removed = rule.removed(statistics)
+    gradient, threshold = statistics.mean_gradient(), config.growth_threshold
+    extra = earned_extra_level(field, gradient, threshold).float() * config.extra_level_gain
+    new = grow(field, gradient, threshold, highest, max(most_anchors - len(field), 0))
+    removed = statistics.faint(config.prune_opacity)
     kept = torch.nonzero(~(removed if astray is None else removed | astray))[:, 0]
     if len(kept) + len(new) == 0:  # nothing would ever grow again
         return

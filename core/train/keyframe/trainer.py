@@ -18,10 +18,8 @@ from streamlod.core.train.field.rounding import Precision, usual_precision
 from streamlod.core.train.growth.gradient import GrowthStatistics
 from streamlod.core.train.growth.near_space import NearSpace
 from streamlod.core.train.growth.refine import count, refine
-from streamlod.core.train.growth.rules import GradientGrowth
 from streamlod.core.train.keyframe.drawing import ViewLoss
 from streamlod.core.train.keyframe.effect import anchor_effects, dispensable
-from streamlod.core.train.keyframe.levels import CoarseRows
 from streamlod.core.train.keyframe.order import LEVELS, in_order_of_effect
 from streamlod.core.train.keyframe.precision import sensitivity, signed_gradients, tuned_precision
 from streamlod.core.train.keyframe.relative_error import RelativeErrors
@@ -66,8 +64,6 @@ class KeyframeTrainer:
         self._sizes = views.sizes() if self._config.half_size_until > 0 else [views]
         self._view_loss = ViewLoss(self._sizes[0], self._exposure, self._config, backend)
         self._learned = LearnedField(field, self._exposure if config.model.exposure else None)
-        settings = self._config
-        self._growth = GradientGrowth(settings.growth_threshold, settings.prune_opacity, settings.extra_level_gain)
         self._space = space
         self._begin_with_anchors(field)
         self._motion_cell = field.octree.motion_cell if motion_cell is None else motion_cell
@@ -141,7 +137,7 @@ class KeyframeTrainer:
             self._learned.average()
         if self._steps % config.growth_interval == 0 and config.growth_from < progress < config.growth_until:
             limits = self._highest, self._model.max_anchors
-            refine(self._learned, self._statistics, self._growth, *limits, self._generator, self._astray())
+            refine(self._learned, self._statistics, config, *limits, self._generator, self._astray())
             self._begin_with_anchors(self._learned.live)
         elif self._steps % config.growth_interval == 0:
             self._look_between(self._learned.live)
@@ -187,7 +183,7 @@ class KeyframeTrainer:
         """Anchors of a step: all, those up to level `highest`, or those that the camera's distances call for."""
         if self._model.selection == "distance":
             return torch.nonzero(visible_levels(field, self._centres[number], highest))[:, 0]
-        return self._coarse.up_to(highest)
+        return self._up_to[highest] if highest < len(self._up_to) else None
 
     def _decode(self, field: Field, number: int, rows: Tensor | None, *, rounded: bool) -> Splats:
         values = (field.feature, field.offset, field.scaling, field.position)
@@ -251,7 +247,8 @@ class KeyframeTrainer:
     def _begin_with_anchors(self, field: Field) -> None:
         """Go on with the anchors of `field`, some of which have just come, or others gone."""
         self._statistics = GrowthStatistics(len(field), field.slots, field.level.device)
-        self._coarse = CoarseRows(field.level, field.octree.levels)
+        # looked up once, since the host waits for a GPU to find them
+        self._up_to = [torch.nonzero(field.level <= highest)[:, 0] for highest in range(field.octree.levels - 1)]
         cameras = [self._whole.cameras[number] for number in self._whole.usable]
         supported = support(field.position, cameras) if self._config.by_support else torch.ones_like(field.extra_level)
         agreement = view_support(supported, field.position, cameras)

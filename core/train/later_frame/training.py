@@ -28,7 +28,6 @@ from streamlod.core.train.later_frame.planned import PlannedViews
 from streamlod.core.train.later_frame.steps import steps_of
 from streamlod.core.train.later_frame.update import IntegerUpdate, no_update
 from streamlod.core.train.loss.total import total_loss
-from streamlod.core.train.optimise.loop import run_steps
 from streamlod.core.train.optimise.schedule import ViewOrder
 
 _PREPARATION = 0.3  # of a frame's training time, after which no more is planned or searched
@@ -94,31 +93,23 @@ class FrameTraining:
         if pace.progress(0) <= _PREPARATION:
             for hooks in self._hooks:
                 hooks.ready(self)
-        order, progress = ViewOrder(self.numbers, generator), 0.0
-
-        def reached(done: int) -> float:
-            nonlocal progress
-            progress = pace.progress(done)
-            if self._half is not None and progress >= config.half_size_until:
+        order, losses = ViewOrder(self.numbers, generator), list[Tensor]()
+        while (progress := pace.progress(len(losses))) < 1:
+            if progress >= config.half_size_until:
                 self._half = None
-            return progress
-
-        def step() -> Tensor:
             number = order.next()
             loss, raster = self._step(number, config, config.final_rate**progress)
+            losses.append(loss)
             if progress >= config.average_from:
                 self._anchors.average()
             if self._half is None:
                 for hooks in self._hooks:
                     hooks.stepped(self, number, raster, progress)
-            return loss
-
-        losses = run_steps(step, reached)
         if not losses:  # a guess of where things go that no picture has confirmed is not sent
             return replace(no_update(len(self._anchors)), complete=False)
         self._anchors.settle()
-        loss = float(torch.stack(losses[-len(self.numbers) :]).mean())
-        update = self._anchors.update(self._visible(), len(losses), loss)
+        last = float(torch.stack(losses[-len(self.numbers) :]).mean())
+        update = self._anchors.update(self._visible(), len(losses), last)
         return replace(update, complete=len(losses) >= total and len(self._whole.caches) == len(self._useful))
 
     def begin_at(self, position: Tensor) -> None:

@@ -8,9 +8,8 @@ from typing import ClassVar
 import torch
 
 from streamlod.core.render.raster import Raster
-from streamlod.core.train.growth.gradient import GrowthStatistics
+from streamlod.core.train.growth.gradient import GrowthStatistics, grow
 from streamlod.core.train.growth.new_anchors import first_values
-from streamlod.core.train.growth.rules import GradientGrowth as Rule
 from streamlod.core.train.later_frame.part import Beginning, FramePart, Hooks, Training
 from streamlod.core.train.later_frame.parts.new_anchors import allowed
 from streamlod.core.train.setting import octree_gs, reading, setting
@@ -47,12 +46,12 @@ class PaperGrowth(FramePart):
     def begin(self, seen: Beginning) -> Hooks:
         """As `FramePart.begin`."""
         most = allowed(seen, self.share, self.room)
-        return _Growing(self.at, Rule(self.threshold), most, seen) if most else Hooks()
+        return _Growing(self.at, self.threshold, most, seen) if most else Hooks()
 
 
 class _Growing(Hooks):
-    def __init__(self, at: float, rule: Rule, most: int, seen: Beginning) -> None:
-        self._at, self._rule, self._most, self._seen = at, rule, most, seen
+    def __init__(self, at: float, threshold: float, most: int, seen: Beginning) -> None:
+        self._at, self._threshold, self._most, self._seen = at, threshold, most, seen
         self._drawn, self._is_due = set[int](), True
         self._statistics = GrowthStatistics(len(seen.rows), seen.base.slots, seen.base.feature.device)
 
@@ -64,7 +63,7 @@ class _Growing(Hooks):
         if progress >= self._at and len(self._drawn) == len(training.numbers):
             self._is_due = False
             every, trained = self._seen.state.field, training.changed()
-            highest = every.octree.levels - 1
-            new = self._rule.new_anchors(trained, self._statistics, highest, self._most, occupied=every)
+            gradient, highest = self._statistics.mean_gradient(), every.octree.levels - 1
+            new = grow(trained, gradient, self._threshold, highest, self._most, occupied=every)
             generator = torch.Generator().manual_seed(len(self._seen.rows))
             training.add(first_values(trained, new, generator))

@@ -12,6 +12,7 @@ from streamlod.core.train.optimise.schedule import ViewOrder, dropout_keep, unlo
 from tests.core.train.fields import random_field
 
 THRESHOLD = 1.0
+MANY = 10_000
 
 
 def test_new_anchors_stand_on_free_nodes_near_the_gaussian_that_asked() -> None:
@@ -19,7 +20,7 @@ def test_new_anchors_stand_on_free_nodes_near_the_gaussian_that_asked() -> None:
     gradient = torch.zeros(len(field) * field.slots)
     asking = torch.arange(0, len(gradient), 7)
     gradient[asking] = 1.05 * 2 ** (0.2 * field.level[asking // field.slots].float())
-    new = grow(field, gradient, THRESHOLD, highest=2)
+    new = grow(field, gradient, THRESHOLD, highest=2, most=MANY)
     assert len(new) > 0
     assert np.isin(new.parent, (asking // field.slots).numpy()).all()
     np.testing.assert_array_equal(new.level, field.level.numpy()[new.parent])
@@ -36,9 +37,17 @@ def test_new_anchors_stand_on_free_nodes_near_the_gaussian_that_asked() -> None:
 def test_strong_gradients_grow_one_level_finer_but_never_past_the_highest() -> None:
     field = random_field(60)
     gradient = torch.full((len(field) * field.slots,), 100.0)
-    assert grow(field, gradient, THRESHOLD, highest=2).level.max() == 2
-    assert grow(field, gradient, THRESHOLD, highest=1).level.max() == 1
-    assert len(grow(field, torch.zeros_like(gradient), THRESHOLD, highest=2)) == 0
+    assert grow(field, gradient, THRESHOLD, highest=2, most=MANY).level.max() == 2
+    assert grow(field, gradient, THRESHOLD, highest=1, most=MANY).level.max() == 1
+    assert len(grow(field, torch.zeros_like(gradient), THRESHOLD, highest=2, most=MANY)) == 0
+
+
+def test_of_more_than_may_grow_those_that_pull_hardest_do() -> None:
+    field = random_field(60)
+    gradient = torch.linspace(10.0, 20.0, len(field) * field.slots)
+    every, some = (grow(field, gradient, THRESHOLD, highest=2, most=most) for most in (MANY, 7))
+    assert len(every) > 7
+    assert sorted(some.parent) == sorted(every.parent)[-7:]
 
 
 def test_only_anchors_seen_often_are_called_faint() -> None:
