@@ -46,6 +46,11 @@ class Origin:
         self.asked += 1
         return connection.respond(http.HTTPStatus.OK, self.listing)
 
+    def is_asked_again(self) -> None:
+        """Wait until the edge has taken over a list that it asked for after now."""
+        before = self.asked
+        wait(lambda: self.asked > before + 1)
+
     def talk(self, connection: ServerConnection) -> None:
         with suppress(ConnectionClosed):
             self.hellos.append(json.loads(connection.recv(60)))
@@ -190,7 +195,7 @@ def test_streams_of_a_kind_that_only_later_versions_know_are_left_out_alone(
             wait(lambda: "main" in edge.registry.streams)
             with viewing(edge) as viewer:
                 viewer.hello().until_version(9)
-            time.sleep(0.2)  # it is asked again meanwhile
+            origin.is_asked_again()
             assert set(edge.registry.streams) == {"main"}
     assert len([line for line in caplog.messages if "does not know: later, latest" in line]) == 1
 
@@ -200,7 +205,7 @@ def test_a_stream_that_is_served_stays_when_its_state_gets_a_name_that_only_late
         wait(lambda: "main" in edge.registry.streams)
         served = edge.registry.streams["main"]
         origin.listing = json.dumps({"items": [STREAM | {"state": "rehearsing"}], "next_cursor": None, "total": 1})
-        time.sleep(0.3)  # it is asked several times meanwhile
+        origin.is_asked_again()
         assert edge.registry.streams == {"main": served}
         with viewing(edge) as viewer:
             viewer.hello().until_version(9)
@@ -211,5 +216,5 @@ def test_only_so_many_streams_as_the_limits_allow(clip: Clip) -> None:
         names = [f"s{number:02d}" for number in range(30)]
         origin.listing = json.dumps({"items": [STREAM | {"id": name} for name in names]})
         with running(settings(origin)) as edge:
-            wait(lambda: origin.asked > 1)  # it asks again when it has taken all of the first list
+            origin.is_asked_again()
             assert sorted(edge.registry.streams) == names[:16]

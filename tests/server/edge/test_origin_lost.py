@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import socket
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -19,7 +19,7 @@ from streamlod.server.settings import EdgeSettings, Settings
 from tests.e2e.test_server_process import recorded
 from tests.server.conftest import Clip, Running, running, viewing
 from tests.server.edge.processes import Node, node, wait_live
-from tests.waiting import wait
+from tests.waiting import PATIENCE, wait
 
 
 @pytest.fixture
@@ -127,19 +127,20 @@ def test_an_edge_checks_tokens_itself_and_shows_the_origin_its_own(
 
     spec = StreamSpec(play=long_clip.path)
     with running(Settings(tokens=file_of("for-edges")), spec, port=port) as origin:
-        with edge_of(port, tokens=file_of("for-viewers")) as edge, edge.client() as client:
+        with edge_of(port, poll_seconds=0.02, tokens=file_of("for-viewers")) as edge, edge.client() as client:
             answer = client.get("/readyz")  # it has no token for the origin
             assert answer.status_code == 503
             assert "origin" in answer.json()["detail"]
             wait(lambda: "answers 401" in caplog.text)
-            time.sleep(1.5)  # it is not asked at every look, as it would shut out all who share the edge's address
-            assert origin.registry.gate.refused == 1
+            monkeypatch.setenv("STREAMLOD_TOKEN", "for-edges")
+            with caplog.at_level(logging.INFO, "httpx"), edge_of(port, poll_seconds=0.02):
+                wait(lambda: caplog.text.count("/v1/streams?limit=200") > 10)  # as often as another edge looks meanwhile
+            assert origin.registry.gate.refused == 1  # else it would shut out all who share the edge's address
             token = {"Authorization": "Bearer for-viewers"}
             with viewing(edge, additional_headers=token) as viewer, pytest.raises(ConnectionClosed) as caught:
                 viewer.connection.recv(60)
             assert caught.value.rcvd is not None
             assert caught.value.rcvd.code == 1013  # to be tried again
-        monkeypatch.setenv("STREAMLOD_TOKEN", "for-edges")
         with edge_of(port, tokens=file_of("for-viewers")) as edge, edge.client() as client:
             wait(lambda: client.get("/readyz").status_code == 200)
             with viewing(edge, additional_headers=token, max_queue=None) as viewer:
@@ -158,10 +159,14 @@ def test_an_edge_that_cannot_reach_its_origin_tells_the_log_where_that_is_and_ea
         wait(lambda: f"127.0.0.1:{port}" in caplog.text)
         answer = client.get("/readyz")
         assert (answer.status_code, answer.json()["detail"]) == (503, "the origin has not been reached yet")
+        with socket.create_server(("127.0.0.1", port)) as mute:
+            mute.settimeout(PATIENCE)
+            for _ in range(4):
+                with mute.accept()[0] as connection:
+                    connection.recv(4096)
         tokens = tmp_path / "tokens.json"
         tokens.write_text(json.dumps([{"name": "other", "sha256": "0" * 64, "rights": ["read"]}]))
         with running(Settings(tokens=tokens), port=port):
             wait(lambda: "answers 401" in caplog.text)
-        time.sleep(0.5)  # it is not asked at once again
         warnings = [record.getMessage() for record in caplog.records if "does not say" in record.getMessage()]
         assert len(warnings) == len(set(warnings))
