@@ -11,15 +11,18 @@ from pathlib import Path
 import pytest
 
 import streamlod.core  # noqa: F401  first of all: it sets what torch and numba read when they load
-from tests.device import pretend
-from tests.device.fixture import gpu
-
-__all__ = ["gpu"]
 
 DEAR = ("browser", "cluster", "long")
 
-if pretend.can_be_registered():
-    pretend.register()  # torch counts its devices when it first differentiates, so it must be there before that
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Tests have a pretend GPU. A process that only hands tests out to others would load torch for nothing."""
+    if hasattr(config, "workerinput") or config.getoption("dist", "no") == "no":
+        from tests.device import fixture, pretend
+
+        config.pluginmanager.register(fixture)
+        if pretend.can_be_registered():
+            pretend.register()  # torch counts its devices when it first differentiates, so it must be there before that
 
 
 def pytest_xdist_auto_num_workers() -> int:

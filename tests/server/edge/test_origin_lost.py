@@ -134,7 +134,9 @@ def test_an_edge_checks_tokens_itself_and_shows_the_origin_its_own(
             wait(lambda: "answers 401" in caplog.text)
             monkeypatch.setenv("STREAMLOD_TOKEN", "for-edges")
             with caplog.at_level(logging.INFO, "httpx"), edge_of(port, poll_seconds=0.02):
-                wait(lambda: caplog.text.count("/v1/streams?limit=200") > 10)  # as often as another edge looks meanwhile
+                wait(
+                    lambda: caplog.text.count("/v1/streams?limit=200") > 10
+                )  # as often as another edge looks meanwhile
             assert origin.registry.gate.refused == 1  # else it would shut out all who share the edge's address
             token = {"Authorization": "Bearer for-viewers"}
             with viewing(edge, additional_headers=token) as viewer, pytest.raises(ConnectionClosed) as caught:
