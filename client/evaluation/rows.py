@@ -45,7 +45,7 @@ def study_rows(preset_name: str, ablations: Sequence[str]) -> tuple[Row, ...]:
     unknown = sorted(set(wanted) - set(ABLATIONS))
     if unknown:
         raise InputError("--ablate", f"{', '.join(unknown)}: unknown; choose of all, {', '.join(ABLATIONS)}")
-    unbounded = unquantised(replace(ours, predict=replace(ours.predict, everything=True)))
+    unbounded = unquantised(replace(ours, predict=replace(ours.predict, cue="everything")))
     return (
         Row("ours", f"preset {preset_name}", ours),
         Row("paper", "preset paper", paper),
@@ -86,7 +86,7 @@ def _ablation(name: str, ours: TrainConfig) -> tuple[Row, ...]:
             built(f"levels by {other}", f"selection {other}", selection=other),
             first("no level caps", "never trained with fine levels hidden", level_cap_share=0.0),
         ),
-        "partition": (later("no partition", "every anchor dynamic", everything=True),),
+        "partition": (later("no partition", "every anchor dynamic", cue="everything"),),
         "quantisation": (Row("no quantisation", f"steps {_FINER} times finer, no rate term", unquantised(ours)),),
         "dropout": (
             first("no dropout", "first frame without dropout", dropout_base=0.0, dropout_slope=0.0),

@@ -289,9 +289,6 @@ class PredictConfig:
     partition_interval: int = setting(
         1, "frames between partitions; 4 in the paper's star variant", given(1, "IV-D", "every frame is partitioned")
     )
-    everything: bool = setting(
-        False, "treat all anchors as dynamic, for studies", given(False, "IV-B", "static anchors are frozen")
-    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ from streamlod.core.synthetic import SyntheticSpec, surface_motion
 from streamlod.core.train import TrainConfig, Trainer, preset
 from streamlod.core.train.field.convert import field_of
 from streamlod.core.train.motion import cues
-from streamlod.core.train.motion.partition import Observation
+from streamlod.core.train.motion.scores import Observation
 from tests.bench.moving_bench import Clip, first_frame, open_clip
 
 _PARTLY = 0.1  # of what an anchor shows
@@ -49,14 +49,9 @@ class Watched:
     only: Bool | None = None
     last: Bool = field(default_factory=lambda: np.zeros(0, np.bool_))
 
-    @property
-    def only_changed_views(self) -> bool:
-        """As `MotionCue.only_changed_views`."""
-        return self.cue.only_changed_views
-
-    def partition(self, seen: Observation) -> Bool:
+    def partition(self, seen: Observation, posterior: float) -> Bool:
         """As `MotionCue.partition`."""
-        self.last = self.cue.partition(seen)
+        self.last = self.cue.partition(seen, posterior)
         if self.only is not None:
             self.last = self.last & self.only
         return self.last
@@ -111,8 +106,9 @@ class Moved:
 
 def follow(clip: Clip, config: TrainConfig, first: Scene, truth: bool) -> Counts:
     """Train all frames after the first one; with `truth`, only anchors that show what has moved so far."""
-    watched = Watched(cues.CUES[config.predict.cue](config.predict))
-    cues.CUES["watched"] = lambda _: watched
+    cue = cues.CUES[config.predict.cue]
+    watched = Watched(cue)
+    cues.CUES["watched"] = replace(cue, partition=watched.partition)
     config = replace(config, predict=replace(config.predict, cue="watched"))
     trainer = Trainer(clip.cameras, config, clip.fps, "cpu")
     trainer.resume(first)

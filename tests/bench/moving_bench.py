@@ -45,7 +45,7 @@ from streamlod.core.scene.anchors import Scene
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import TrainConfig, Trainer, preset
 from streamlod.core.train.motion import cues
-from streamlod.core.train.motion.partition import Observation
+from streamlod.core.train.motion.scores import Observation
 from streamlod.core.train.presets.settings import with_settings
 from streamlod.server.cli.options import fields_in
 
@@ -126,13 +126,11 @@ def open_clip(spec: SyntheticSpec, views: int) -> Clip:
 class TrueSet:
     """A motion cue that knows: anchors that show what moves in this frame or did in the one before."""
 
-    only_changed_views = True
-
     def __init__(self, clip: Clip) -> None:
         self._clip = clip
         self.before, self.index = None, 0
 
-    def partition(self, seen: Observation) -> Bool:
+    def partition(self, seen: Observation, posterior: float) -> Bool:
         """As `MotionCue.partition`."""
         assert self.before is not None
         shown = np.zeros(len(seen.field))
@@ -161,7 +159,7 @@ def follow(
     """Train all frames after the first and measure them; the pictures of frames `kept` stay."""
     truth = TrueSet(clip)
     if causes.get("truth"):
-        cues.CUES["truth"] = lambda _: truth
+        cues.CUES["truth"] = cues.MotionCue(truth.partition, only_changed_views=True)
         config = replace(config, predict=replace(config.predict, cue="truth"))
     course = Course()
     held, fitted = MovingPixels((clip.held_out,), clip.spec), MovingPixels(clip.cameras, clip.spec)

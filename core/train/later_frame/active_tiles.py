@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -17,21 +16,10 @@ from torch import Tensor
 from streamlod.core.arrays import Bool
 from streamlod.core.camera import Camera
 from streamlod.core.render.cpu.dirty_tiles import reached_tiles
-from streamlod.core.render.tiles import TILE_HEIGHT, TILE_WIDTH, tile_grid
 from streamlod.core.train.field.field import Field
 
 BORDER = 24  # pixels around those that changed
 _LEAST_SHARE = 0.5  # of the tiles that an anchor reaches, which must be active
-
-
-def tiles_near(mask: Bool, border: int) -> Bool:
-    """[tiles_y,tiles_x] bool: tiles with pixels within `border` pixels of those of `mask` [H,W]."""
-    height, width = mask.shape
-    wide = cv2.dilate(mask.astype(np.uint8), np.ones((2 * border + 1, 2 * border + 1), np.uint8))
-    rows, columns = tile_grid(width, height)
-    padded = np.zeros((rows * TILE_HEIGHT, columns * TILE_WIDTH), np.bool_)
-    padded[:height, :width] = wide
-    return np.asarray(padded.reshape(rows, TILE_HEIGHT, columns, TILE_WIDTH).any(axis=(1, 3)))
 
 
 def mostly_active(field: Field, rows: Tensor, cameras: tuple[Camera, ...], active: Mapping[int, Bool]) -> Bool:

@@ -21,7 +21,7 @@ from streamlod.core.train.control.frame_budget import FrameProgress
 from streamlod.core.train.control.rate_control import RatePlan
 from streamlod.core.train.field.convert import motion_cell_of
 from streamlod.core.train.field.exposure import Exposure
-from streamlod.core.train.later_frame.active_tiles import BORDER, mostly_active, tiles_near
+from streamlod.core.train.later_frame.active_tiles import BORDER, mostly_active
 from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.part import Beginning, FramePart, Hooks
 from streamlod.core.train.later_frame.references import renewed_references
@@ -29,7 +29,9 @@ from streamlod.core.train.later_frame.state import State
 from streamlod.core.train.later_frame.training import FrameTraining
 from streamlod.core.train.later_frame.update import IntegerUpdate, no_update, residual_of, strongest_changes
 from streamlod.core.train.motion.cues import cue_of
-from streamlod.core.train.motion.partition import Observation, change_masks
+from streamlod.core.train.motion.masks import change_masks
+from streamlod.core.train.motion.scores import Observation
+from streamlod.core.train.pictures.boxes import tiles_near
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.progress import Stopwatch
 
@@ -126,14 +128,14 @@ def _selected(state: State, pictures: Comparison, index: int, config: PredictCon
         previous=previous,
         backend=means.backend,
     )
-    return cue_of(config).partition(seen), True
+    return cue_of(config.cue).partition(seen, config.posterior), True
 
 
 def _worth_training(state: State, dynamic: Bool, pictures: Comparison, means: Means) -> Bool:
     """[N] those of the `dynamic` ones that mostly show what changed; all where the cue looks at still pixels too."""
     views, masks = pictures.views, pictures.masks
     changed = [number for number in views.usable if masks[number].any()]
-    if means.backend != "cpu" or not cue_of(means.config.predict).only_changed_views or not changed:
+    if means.backend != "cpu" or not cue_of(means.config.predict.cue).only_changed_views or not changed:
         return dynamic
     active = {number: tiles_near(masks[number].numpy(), BORDER) for number in changed}
     rows, chosen = np.flatnonzero(dynamic), np.zeros_like(dynamic)
@@ -176,7 +178,7 @@ def _useful(pictures: Comparison, config: PredictConfig) -> list[int]:
     All usable ones if only one is left: trained on its picture alone, anchors would get worse for every other camera.
     """
     views = pictures.views
-    if not cue_of(config).only_changed_views:
+    if not cue_of(config.cue).only_changed_views:
         return views.usable
     order = torch.argsort(pictures.differences(), descending=True, stable=True).tolist()
     usable = [number for number in order if number in views.usable]

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from streamlod.core.render.backends import Backend
 from streamlod.core.train.field.decode import Splats
-from streamlod.core.train.later_frame.active_tiles import tiles_near
 from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.tile_cache import TileCache, make_tile_cache
+from streamlod.core.train.pictures.boxes import tiles_near
 
 
 @dataclass(frozen=True, slots=True, eq=False)

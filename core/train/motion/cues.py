@@ -1,114 +1,71 @@
 """Motion cues: rules that say which anchors a frame trains (paper section IV-B), by name.
 
-To add one, write a frozen dataclass with a `partition` method here and name it in `CUES`.
+To add one, write a function of an `Observation` here and name it in `CUES`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from streamlod.core.arrays import Bool
 from streamlod.core.errors import unknown_name
-from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.motion.masks import dynamic_anchors
-from streamlod.core.train.motion.partition import Observation
-from streamlod.core.train.motion.scores import change_scores, error_scores
+from streamlod.core.train.motion.scores import Observation, change_scores, error_scores
 
 _HYSTERESIS = 0.5  # an anchor stays dynamic above this share of the entering posterior
 _MAX_CHANGED = 0.5  # share of changed pixels above which nothing stands still for the mixture to separate
 
 
-class MotionCue(Protocol):
-    """Decides which anchors a frame trains."""
-
-    @property
-    def only_changed_views(self) -> bool:
-        """Whether cameras in which no pixel changed are left out of the frame's training."""
-
-    def partition(self, seen: Observation) -> Bool:
-        """[N] bool: the anchors to train, the dynamic set."""
-
-
 @dataclass(frozen=True, slots=True)
-class Difference:
-    """Gradient of the new pictures' error less that of the reference pictures', on changed pixels only (our default).
+class MotionCue:
+    """Decides which anchors a frame trains.
 
     Attributes:
-        posterior: of the mixture's dynamic component, from which an anchor is trained.
+        partition: [N] bool, the anchors to train, the dynamic set, of what is seen and of the posterior of the
+            mixture's dynamic component from which an anchor is trained.
+        only_changed_views: whether cameras in which no pixel changed are left out of the frame's training.
     """
 
-    posterior: float
-
-    @property
-    def only_changed_views(self) -> bool:
-        """As `MotionCue.only_changed_views`."""
-        return True
-
-    def partition(self, seen: Observation) -> Bool:
-        """As `MotionCue.partition`."""
-        if not seen.masks.any():
-            return np.zeros(len(seen.field), np.bool_)
-        scores = change_scores(seen)
-        if seen.masks[seen.views.usable].float().mean() > _MAX_CHANGED:
-            return np.asarray(scores > 0)
-        return dynamic_anchors(scores, seen.previous, self.posterior, self.posterior * _HYSTERESIS)
+    partition: Callable[[Observation, float], Bool]
+    only_changed_views: bool
 
 
-@dataclass(frozen=True, slots=True)
-class RenderingError:
-    """Gradient of the error between a rendering of the keyframe's state and the new pictures (the paper's cue).
-
-    Attributes:
-        posterior: of the mixture's dynamic component, from which an anchor is dynamic.
-    """
-
-    posterior: float
-
-    @property
-    def only_changed_views(self) -> bool:
-        """As `MotionCue.only_changed_views`."""
-        return False
-
-    def partition(self, seen: Observation) -> Bool:
-        """As `MotionCue.partition`."""
-        if not seen.masks.any():  # where no pixel changed, the error is static
-            return np.zeros(len(seen.field), np.bool_)
-        scores = error_scores(seen.canonical, seen)
-        return dynamic_anchors(scores, seen.previous, self.posterior, self.posterior * _HYSTERESIS)
+def _difference(seen: Observation, posterior: float) -> Bool:
+    """By the gradient of the new pictures' error less that of the reference pictures', on changed pixels only."""
+    scores = change_scores(seen)
+    if seen.masks[seen.views.usable].float().mean() > _MAX_CHANGED:
+        return np.asarray(scores > 0)
+    return dynamic_anchors(scores, seen.previous, posterior, posterior * _HYSTERESIS)
 
 
-@dataclass(frozen=True, slots=True)
-class Everything:
-    """Every living anchor is dynamic in every frame, changed or not: a bound for studies."""
-
-    @property
-    def only_changed_views(self) -> bool:
-        """As `MotionCue.only_changed_views`."""
-        return False
-
-    def partition(self, seen: Observation) -> Bool:
-        """As `MotionCue.partition`."""
-        return np.asarray(seen.alive.cpu().numpy())
+def _canonical(seen: Observation, posterior: float) -> Bool:
+    """By the gradient of the error between a rendering of the keyframe's state and the new pictures (the paper's)."""
+    if not seen.masks.any():  # where no pixel changed, the error is static
+        return np.zeros(len(seen.field), np.bool_)
+    return dynamic_anchors(error_scores(seen), seen.previous, posterior, posterior * _HYSTERESIS)
 
 
-CUES: dict[str, Callable[[PredictConfig], MotionCue]] = {
-    "difference": lambda config: Difference(config.posterior),
-    "canonical": lambda config: RenderingError(config.posterior),
+def _everything(seen: Observation, posterior: float) -> Bool:
+    """All living anchors, changed or not: a bound for studies."""
+    return np.asarray(seen.alive.cpu().numpy())
+
+
+CUES = {
+    "difference": MotionCue(_difference, only_changed_views=True),
+    "canonical": MotionCue(_canonical, only_changed_views=False),
+    "everything": MotionCue(_everything, only_changed_views=False),
 }
 
 
-def cue_of(config: PredictConfig) -> MotionCue:
-    """The cue that a configuration names.
+def cue_of(name: str) -> MotionCue:
+    """The cue of this name.
 
     Raises:
-        InputError: no cue has that name.
+        InputError: there is none.
     """
-    if config.everything:
-        return Everything()
-    if config.cue not in CUES:
-        raise unknown_name("motion cue", config.cue, CUES)
-    return CUES[config.cue](config)
+    if name not in CUES:
+        raise unknown_name("motion cue", name, CUES)
+    return CUES[name]

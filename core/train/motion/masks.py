@@ -5,7 +5,7 @@ or what the model shows where training of that goes on. Only changes above the c
 scene yields nothing at all, whatever the model's static error; and as a reference is renewed only where a change was
 accepted, slow drift adds up until it is seen.
 
-Anchors: scores of motion from `core.train.motion.partition`, split in two by a Gaussian mixture on their fourth root.
+Anchors: scores of motion from `core.train.motion.scores`, split in two by a Gaussian mixture on their fourth root.
 (On the logarithm, as one might read the paper, the mixture's wide low component swallows the top: see docs/method.md.)
 """
 
@@ -13,10 +13,13 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import torch
 from torch import Tensor
 from torch.nn import functional
 
 from streamlod.core.arrays import Bool, Float32, Float64
+from streamlod.core.train.pictures.parallel import map_pictures
+from streamlod.core.train.pictures.views import Views
 
 _BLUR = (5, 5)  # pixels; averages the noise, keeps edges of moving things
 _FOLDED = 0.6745  # median of the absolute value of a normal variable, in standard deviations
@@ -57,6 +60,25 @@ def noise_between(before: Tensor, now: Tensor) -> Tensor:
     """
     averages = functional.avg_pool2d((now - before).permute(0, 3, 1, 2), _BLUR, ceil_mode=True)
     return averages.abs().amax(dim=1).flatten(1).median(dim=1).values / _FOLDED
+
+
+def change_masks(references: Tensor, before: Tensor, views: Views, floor: float) -> Tensor:
+    """[C,H,W] bool: pixels of each usable camera that changed against `references` [C,H,W,3].
+
+    Args:
+        before: [C,H,W,3] pictures of the frame before, which tell how noisy cameras are.
+        floor: smallest change that counts, in units of [0, 1].
+    """
+    masks = torch.zeros(references.shape[:3], dtype=torch.bool, device=references.device)
+    noise = noise_between(before, views.targets).tolist()
+    rows = [
+        (references[number].cpu().numpy(), views.targets[number].cpu().numpy(), least_change(noise[number], floor))
+        for number in views.usable
+    ]
+    changed = map_pictures(changed_pixels, rows)
+    for number, mask in zip(views.usable, changed, strict=True):
+        masks[number] = torch.from_numpy(mask).to(references.device)
+    return masks
 
 
 def least_change(noise: float, floor: float) -> float:

@@ -29,7 +29,7 @@ def first_frames() -> FirstFrames:
 def test_first_frames_are_shared_by_what_differs_later_only(footage: Footage, first_frames: FirstFrames) -> None:
     training, _ = next(footage.pairs())
     one, *_ = first_frames.get(footage, training, CONFIG)
-    other, *_ = first_frames.get(footage, training, replace(CONFIG, predict=replace(CONFIG.predict, everything=True)))
+    other, *_ = first_frames.get(footage, training, replace(CONFIG, predict=replace(CONFIG.predict, cue="everything")))
     assert one.scene.levels is other.scene.levels
     reseeded, *_ = first_frames.get(footage, training, replace(CONFIG, seed=1))
     assert reseeded.scene.levels is not one.scene.levels
@@ -76,7 +76,11 @@ def test_the_first_frame_is_shown_as_it_was_trained_whatever_the_cue(
 ) -> None:
     """Cues that see the static error would otherwise train the first frame twice."""
     pictures, two = [], replace(footage, frames=2)  # with one alone, nothing is predicted
-    for predict in (CONFIG.predict, replace(CONFIG.predict, cue="canonical"), replace(CONFIG.predict, everything=True)):
+    for predict in (
+        CONFIG.predict,
+        replace(CONFIG.predict, cue="canonical"),
+        replace(CONFIG.predict, cue="everything"),
+    ):
         run = run_system(replace(CONFIG, predict=predict), two, first_frames)
         pictures.append(run.frames[0].picture.psnr)
     assert pictures[0] == pictures[1] == pictures[2]

@@ -28,7 +28,7 @@ SPEC = SyntheticSpec(cameras=4, frames=12, width=96, height=54, fps=10.0)
 CAMERA = 2  # the one that things happen to
 
 
-def config(**changed: float | bool) -> TrainConfig:
+def config(**changed: float | str) -> TrainConfig:
     """Preset live with hardly any steps."""
     live = preset("live")
     keyframe = replace(live.keyframe, steps=80, growth_interval=20)
@@ -161,7 +161,7 @@ def test_states_at_the_end_of_their_integers_saturate(
         return replace(level, latent=latent, position=position)
 
     far = replace(first, levels=tuple(edge(level) for level in first.levels), version=1)
-    wild = with_settings(config(latent_rate=50.0, position_rate=500.0, everything=True), {"new_anchors.share": 0})
+    wild = with_settings(config(latent_rate=50.0, position_rate=500.0, cue="everything"), {"new_anchors.share": 0})
     trainer = Trainer(clip.cameras, wild, clip.fps, "cpu")
     trainer.resume(far)
     for index, picture in enumerate(images[1:4], start=2):

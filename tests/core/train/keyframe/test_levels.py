@@ -11,7 +11,6 @@ import torch
 from streamlod.core.camera import look_at, pinhole
 from streamlod.core.train.field.field import Field, visible_levels
 from streamlod.core.train.field.rendered import rendered
-from streamlod.core.train.motion.scores import tiles_of
 from streamlod.core.train.pictures.views import Views
 from tests.core.train.fields import random_field
 
@@ -32,14 +31,6 @@ def test_levels_that_the_distance_does_not_call_for_are_transparent(field: Field
     assert (chosen.opacities[~drawn] == 0).all()
     assert field.looks_the_same
     assert not replace(field, by_distance=True).looks_the_same
-
-
-def test_tiles_hold_every_pixel_of_a_mask() -> None:
-    mask = torch.zeros(40, 50, dtype=torch.bool)
-    mask[39, 49] = mask[0, 17] = True
-    tiles = tiles_of(mask)
-    assert tiles.shape == (3, 4)
-    assert tiles.nonzero().tolist() == [[0, 1], [2, 3]]
 
 
 def test_a_camera_without_a_picture_is_shown_nothing_known(field: Field) -> None:

@@ -13,7 +13,7 @@ from streamlod.core.frames import FrameSet
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import PredictConfig, Trainer, preset
 from streamlod.core.train.field.convert import scene_of
-from streamlod.core.train.later_frame.active_tiles import mostly_active, tiles_near
+from streamlod.core.train.later_frame.active_tiles import mostly_active
 from streamlod.core.train.later_frame.state import State, fresh_state
 from tests.core.train.fields import random_field
 from tests.core.true_points import true_points
@@ -61,17 +61,6 @@ def test_a_camera_in_which_an_anchor_reaches_nothing_that_changed_is_not_asked(s
     one = mostly_active(state.field, ROWS, (CAMERA,), {0: changed(0.5)})
     both = mostly_active(state.field, ROWS, (CAMERA, CAMERA), {0: changed(0.5), 1: changed(0.0)})
     np.testing.assert_array_equal(one, both)
-
-
-def test_tiles_near_a_pixel() -> None:
-    mask = np.zeros((40, 70), np.bool_)
-    assert tiles_near(mask, 8).shape == (3, 5)
-    assert not tiles_near(mask, 8).any()
-    mask[39, 16] = True  # in the last, cut row of tiles, at the left edge of the second column
-    assert np.argwhere(tiles_near(mask, 0)).tolist() == [[2, 1]]
-    assert np.argwhere(tiles_near(mask, 7)).tolist() == [[2, 0], [2, 1]]
-    assert np.argwhere(tiles_near(mask, 8)).tolist() == [[1, 0], [1, 1], [2, 0], [2, 1]]
-    assert tiles_near(np.ones((40, 70), np.bool_), 0).all()
 
 
 @pytest.mark.long

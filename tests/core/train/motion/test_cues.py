@@ -1,8 +1,8 @@
-"""A motion cue is one object, found by its name: a toy one takes part in training without any other change."""
+"""A motion cue is a rule, found by its name: a toy one takes part in training without any other change."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,29 +10,20 @@ import pytest
 from streamlod.core.arrays import Bool
 from streamlod.core.errors import InputError
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
-from streamlod.core.train import PredictConfig, Trainer, preset
+from streamlod.core.train import Trainer, preset
 from streamlod.core.train.motion import cues
-from streamlod.core.train.motion.partition import Observation
+from streamlod.core.train.motion.scores import Observation
 from tests.core.true_points import true_points
 
 
-@dataclass(frozen=True)
-class EveryNth:
-    """A toy: every `stride`-th anchor is dynamic, whatever the pictures show."""
-
-    stride: int
-
-    @property
-    def only_changed_views(self) -> bool:
-        return False
-
-    def partition(self, seen: Observation) -> Bool:
-        chosen = seen.alive.numpy() & (np.arange(len(seen.field)) % self.stride == 0)
-        return np.asarray(chosen)
+def every_third(seen: Observation, posterior: float) -> Bool:
+    """A toy: every third anchor is dynamic, whatever the pictures show."""
+    assert posterior == preset("live").predict.posterior
+    return np.asarray(seen.alive.numpy() & (np.arange(len(seen.field)) % 3 == 0))
 
 
 def test_a_toy_cue_decides_what_is_trained(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(cues.CUES, "every third", lambda config: EveryNth(3))
+    monkeypatch.setitem(cues.CUES, "every third", cues.MotionCue(every_third, only_changed_views=False))
     spec = SyntheticSpec(cameras=3, frames=2, width=96, height=56, seed=1)
     clip = open_synthetic(spec)
     first, second = clip.frames()
@@ -52,15 +43,6 @@ def test_a_toy_cue_decides_what_is_trained(monkeypatch: pytest.MonkeyPatch) -> N
     assert trained.residual.changed > 0
 
 
-@pytest.mark.parametrize("name", sorted(cues.CUES))
-def test_cues_take_their_settings_from_the_configuration(name: str) -> None:
-    config = PredictConfig(cue=name, posterior=0.7)
-    cue = cues.cue_of(config)
-    assert isinstance(cue, cues.Difference | cues.RenderingError)
-    assert cue.posterior == 0.7
-    assert cue.only_changed_views == (name == "difference")
-
-
 def test_an_unknown_cue_is_refused_and_the_known_are_named() -> None:
     with pytest.raises(InputError, match="difference, canonical"):
-        cues.cue_of(PredictConfig(cue="flow"))
+        cues.cue_of("flow")

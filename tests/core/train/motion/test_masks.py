@@ -8,13 +8,13 @@ import torch
 
 from streamlod.core.camera import Camera, look_at, pinhole
 from streamlod.core.train.motion.masks import (
+    change_masks,
     changed_pixels,
     dynamic_anchors,
     least_change,
     mixture_thresholds,
     noise_between,
 )
-from streamlod.core.train.motion.partition import change_masks
 from streamlod.core.train.pictures.views import Views
 
 FLOOR = 0.02
