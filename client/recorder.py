@@ -32,12 +32,13 @@ class Recorder(Protocol):
     ) -> None: ...
 
 
-def open_recorder(out: Path, fps: float) -> Recorder:
+def open_recorder(out: Path | str, fps: float) -> Recorder:
     """An MP4 file where `out` ends in .mp4, otherwise a folder of numbered PNGs.
 
     Raises:
         InputError: the place cannot be written to.
     """
+    out = Path(out)
     try:
         (out.parent if out.suffix == ".mp4" else out).mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -45,14 +46,14 @@ def open_recorder(out: Path, fps: float) -> Recorder:
     return _Mp4(out, fps) if out.suffix == ".mp4" else _PngFolder(out)
 
 
-def write_png(path: Path, picture: UInt8) -> None:
+def write_png(path: Path | str, picture: UInt8) -> None:
     """One picture [H,W,3] RGB as a whole file."""
     import cv2
 
     done, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
     if not done:
         raise InputError(path, "the picture could not be encoded as PNG")
-    write_bytes(path, data.tobytes())
+    write_bytes(Path(path), data.tobytes())
 
 
 class _PngFolder(AbstractContextManager["_PngFolder"]):

@@ -154,10 +154,10 @@ class RecordingFile:
         return decode_version(self.path, version)
 
 
-def open_recording(path: Path) -> RecordingFile:
+def open_recording(path: Path | str) -> RecordingFile:
     """A `.slod` file, or an MP4 file with packets, for reading.
 
     Raises:
         InputError: the file cannot be opened, or is cut or damaged.
     """
-    return RecordingFile(path, versions(path))
+    return RecordingFile(Path(path), versions(Path(path)))

@@ -44,7 +44,7 @@ class ServerClient:
         ca: certificates (PEM) to trust instead of the system's.
     """
 
-    def __init__(self, address: str, token: str | None = None, ca: Path | None = None) -> None:
+    def __init__(self, address: str, token: str | None = None, ca: Path | str | None = None) -> None:
         headers = {"Authorization": f"Bearer {token}"} if token else {}
         try:
             verify = ssl.create_default_context(cafile=ca)
@@ -112,16 +112,16 @@ class ServerClient:
     def download(
         self,
         name: str,
-        path: Path,
+        path: Path | str,
         begin: datetime | None = None,
         end: datetime | None = None,
         epoch: int | None = None,
     ) -> int:
         """Write a recording, or what of it lies between two times, to a `.slod` file; returns its length in bytes."""
         params = _times(begin, end) | ({} if epoch is None else {"epoch": epoch})
-        return self._save(f"/v1/recordings/{quote(name, safe='')}/bitstream", _FILE, params, path)
+        return self._save(f"/v1/recordings/{quote(name, safe='')}/bitstream", _FILE, params, Path(path))
 
-    def download_sound(self, name: str, path: Path, from_ns: int = 0, to_ns: int | None = None) -> int:
+    def download_sound(self, name: str, path: Path | str, from_ns: int = 0, to_ns: int | None = None) -> int:
         """Write the sound of a stream to an Ogg Opus file; returns its length in bytes.
 
         Args:
@@ -129,7 +129,7 @@ class ServerClient:
         """
         times = {"from_ns": from_ns, "to_ns": to_ns}
         given = {name: value for name, value in times.items() if value}
-        return self._save(f"/v1/streams/{quote(name, safe='')}/sound", MEDIA_TYPE, given, path, _MAX_SOUND_BYTES)
+        return self._save(f"/v1/streams/{quote(name, safe='')}/sound", MEDIA_TYPE, given, Path(path), _MAX_SOUND_BYTES)
 
     def _save(self, place: str, kind: str, params: dict[str, Any], path: Path, most: int | None = None) -> int:
         """Write what is at `place` to a file, whole or not at all; returns its length in bytes, at most `most`."""

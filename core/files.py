@@ -13,6 +13,18 @@ from pathlib import Path
 from streamlod.core.errors import InputError
 
 
+def check_output(path: Path) -> None:
+    """Make the folder of a file that is to be written later; InputError, before any work, if it cannot be."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(path, f"cannot be written ({error.strerror})") from error
+    if path.is_dir():
+        raise InputError(path, "is a folder; name a file")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(path, "cannot be written (no permission for the folder)")
+
+
 def temporary_beside(path: Path) -> Path:
     """A name in the folder of `path` that nobody else uses, hidden, to be given to `put_in_place`."""
     return path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")

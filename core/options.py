@@ -10,12 +10,18 @@ import dataclasses
 import math
 import re
 from dataclasses import dataclass
-from typing import Any, get_type_hints
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
 from streamlod.core.errors import InputError
 
 MAX_CAMERAS = 256
 PRESETS = ("live", "balanced", "quality", "paper")
+_KINDS: dict[Any, str] = {
+    **{int: "a whole number", float: "a number", bool: "true or false", str: "text"},
+    **{Path: "a path", tuple: "a list of names", dict: "a table of names and values"},
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +54,14 @@ class Option:
     stream_default: Any = None
 
     def check(self, value: Any) -> None:
-        """Raise InputError if `value`, of the right type, is out of bounds."""
+        """Raise InputError if `value` is of another type, or out of bounds."""
         if value is None:
             return
+        kinds = get_args(self.type) if get_origin(self.type) is UnionType else (self.type,)
+        kinds = tuple(kind for kind in kinds if kind is not NoneType)
+        if not any(_is_of(value, kind) for kind in kinds):
+            wanted = " or ".join(_KINDS[get_origin(kind) or kind] for kind in kinds)
+            raise InputError(self.name, f"must be {wanted}, not {value!r:.80}")
         if self.choices and value not in self.choices:
             raise InputError(self.name, f"must be one of {', '.join(self.choices)}, not {value!r:.80}")
         if self.minimum is not None or self.maximum is not None:
@@ -88,6 +99,14 @@ def option(
         "stream_default": stream_default,
     }
     return dataclasses.field(default=default, metadata=description)
+
+
+def _is_of(value: Any, kind: Any) -> bool:
+    if get_origin(kind) is tuple:
+        return isinstance(value, tuple) and all(isinstance(item, str) for item in value)
+    if kind in (int, float) and isinstance(value, bool):
+        return False
+    return isinstance(value, (int, float) if kind is float else get_origin(kind) or kind)
 
 
 def test_option() -> Any:

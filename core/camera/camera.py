@@ -32,7 +32,7 @@ class Camera:
 
     Raises:
         InputError: numbers that are not finite or absurdly large, a rotation that is not one, a focal length or size
-            that is not positive.
+            that is not positive, a size that is not in whole pixels.
     """
 
     name: str
@@ -55,6 +55,8 @@ class Camera:
                 raise InputError(f"camera {self.name}", f"its {label} holds numbers that are not finite")
             if np.abs(array).max() > _MAX_NUMBER:
                 raise InputError(f"camera {self.name}", f"its {label} holds numbers beyond {_MAX_NUMBER:g}")
+        if not isinstance(self.width, int | np.integer) or not isinstance(self.height, int | np.integer):
+            raise InputError(f"camera {self.name}", f"picture size {self.width}x{self.height} is not in whole pixels")
         if self.width < 1 or self.height < 1:
             raise InputError(f"camera {self.name}", f"picture size {self.width}x{self.height} is not positive")
         if self.intrinsics[0, 0] <= 0 or self.intrinsics[1, 1] <= 0:

@@ -13,7 +13,7 @@ selects cameras, undoes lens distortion and scales down.
 from streamlod.core.data.dataset import Dataset
 from streamlod.core.data.open import LAYOUTS, open_dataset
 from streamlod.core.data.prefetch import prefetch
-from streamlod.core.data.splits import Split, linspace_split, read_split
+from streamlod.core.data.splits import Split, linspace_split, read_split, training_cameras
 
 __all__ = [
     "LAYOUTS",
@@ -23,4 +23,5 @@ __all__ = [
     "open_dataset",
     "prefetch",
     "read_split",
+    "training_cameras",
 ]

@@ -46,6 +46,24 @@ def linspace_split(names: Sequence[str], views: int | None, test: Sequence[str] 
     return Split(f"linspace {views} of {len(remaining)}{held_out}", tuple(remaining[row] for row in rows), tuple(test))
 
 
+def training_cameras(
+    names: Sequence[str], train: Sequence[str], views: int | None, test: Sequence[str]
+) -> tuple[str, ...]:
+    """Cameras that train: `train` where it names some, else those of `linspace_split`.
+
+    Args:
+        names: all cameras. train, views, test: as the options of these names.
+
+    Raises:
+        InputError: a camera that does not exist, or more views than cameras remain.
+    """
+    if not train:
+        return linspace_split(names, views, test).train
+    _check_known(train, names, "--train")
+    _check_known(test, names, "--test")
+    return tuple(train)
+
+
 def read_split(path: Path, names: Sequence[str]) -> Split:
     """A split from a JSON file: ``{"train": ["cam01", ...], "test": ["cam00"]}``, ``"test"`` optional.
 

@@ -63,27 +63,16 @@ def synth(
 
 def check_cameras(job: TrainJob) -> None:
     """Refuse an unusable recording, rig or choice of cameras within a second, before a training library is loaded."""
-    from streamlod.core.data import linspace_split, open_dataset
+    from streamlod.core.data import open_dataset, training_cameras
     from streamlod.server.ingest.cameras.definition import read_definition
 
     if job.data is not None:
-        source: Path | None = job.data
         names = open_dataset(job.data, layout=job.layout, downscale=job.downscale).names
     elif isinstance(job.live, Path):
-        source = job.live
         names = tuple(camera.name for camera in read_definition(job.live).cameras)
     else:
         return
-    if not job.train:
-        linspace_split(names, job.views, job.test)
-    both = sorted(set(job.train) & set(job.test))
-    if both:
-        raise InputError("--train", f"{', '.join(both)} cannot both train and be held out")
-    unknown = sorted({*job.train, *job.test} - set(names))
-    if unknown:
-        raise InputError(
-            "--train", f"there is no camera {', '.join(unknown)} in {source}; there are {', '.join(names)}"
-        )
+    training_cameras(names, job.train, job.views, job.test)
 
 
 def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None, sound: str) -> str:
@@ -237,21 +226,6 @@ def _benches() -> list[str]:
             found = [module.name for module in modules if module.name.endswith(_SUFFIX)]
             return sorted(name.removesuffix(_SUFFIX).replace("_", "-") for name in found)
     raise BackendUnavailable("the benchmark suite", "it comes with a source checkout: run it there")
-
-
-def check_outputs(*paths: Path | None) -> None:
-    """Raise InputError for outputs that cannot be written, before any work is done."""
-    for path in paths:
-        if path is None:
-            continue
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(path, f"cannot be written ({error.strerror})") from error
-        if path.is_dir():
-            raise InputError(path, "is a folder; name a file")
-        if not os.access(path.parent, os.W_OK):
-            raise InputError(path, "cannot be written (no permission for the folder)")
 
 
 def _set(bar: Bar, value: float) -> None:

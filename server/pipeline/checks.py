@@ -27,11 +27,11 @@ def check_job(job: TrainJob) -> None:
         InputError: one cannot be; the sentence names it.
     """
     if job.synthetic is not None:
-        from streamlod.core.data import linspace_split
+        from streamlod.core.data import training_cameras
         from streamlod.core.synthetic import open_synthetic
 
         dataset = open_synthetic(synthetic_spec(job.synthetic))
-        dataset.select(job.train or linspace_split(dataset.names, job.views, job.test).train)
+        dataset.select(training_cameras(dataset.names, job.train, job.views, job.test))
     if job.set:
         _check_settings(job.preset, job.set)
 

@@ -32,10 +32,10 @@ class TrainJob:
     """Exactly one of `data`, `live` and `synthetic` says where frames come from; the help of each field says the rest.
 
     Where `train` is empty, `views` of the cameras that `test` does not name are chosen by the linspace rule
-    (`core.data.linspace_split`).
+    (`core.data.linspace_split`). Text stands for a path, a list for a tuple.
 
     Raises:
-        InputError: no single source, or a value out of bounds.
+        InputError: no single source, a value of another type or out of bounds, a camera that trains and is held out.
     """
 
     data: Path | None = option(None, "Train this folder of a recording.", metavar="DATA", max_length=MAX_PATH)
@@ -91,32 +91,28 @@ class TrainJob:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
+        for name in ("data", "live"):
+            if isinstance(value := getattr(self, name), str):
+                object.__setattr__(self, name, Path(value))
+        for name in ("train", "test"):
+            if isinstance(value := getattr(self, name), list):
+                object.__setattr__(self, name, tuple(value))
         if sum(getattr(self, name) is not None for name in SOURCES) != 1:
             raise InputError("what to train", "name one source: data, live or synthetic")
         for each in JOB_OPTIONS:
             each.check(getattr(self, each.name))
+        both = sorted(set(self.train) & set(self.test))
+        if both:
+            raise InputError("train", f"{', '.join(both)} cannot both train and be held out by test")
         for name in ("title", "licence"):
             if any("\ud800" <= letter <= "\udfff" for letter in getattr(self, name) or ""):
                 raise InputError(name, "is not UTF-8")
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values; `job_from_json` goes back."""
+        """Plain values, of which the constructor makes the same job."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {name: str(value) if isinstance(value, Path) else value for name, value in values.items()}
 
 
 JOB_OPTIONS = options_of(TrainJob)
 JOB_FIELDS = frozenset(each.name for each in JOB_OPTIONS)
-
-
-def job_from_json(values: dict[str, Any]) -> TrainJob:
-    """The job with these fields, all of them of `JOB_FIELDS`.
-
-    Raises:
-        InputError: no single source, or a value out of bounds.
-    """
-    values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
-    for name in ("data", "live"):
-        if isinstance(values.get(name), str):
-            values[name] = Path(values[name])
-    return TrainJob(**values)

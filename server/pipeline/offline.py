@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from streamlod.core.files import check_output
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.sound import AUTO
 from streamlod.server.pipeline.stages import EncodedFrame, open_job, train_clip
@@ -28,12 +29,12 @@ class TrainingFigures:
 
 
 def train_recording(
-    job: TrainJob, out: Path, on_frame: Callable[[EncodedFrame], None] = lambda _: None, sound: str = AUTO
+    job: TrainJob, out: Path | str, on_frame: Callable[[EncodedFrame], None] = lambda _: None, sound: str = AUTO
 ) -> TrainingFigures:
     """Train a job into the `.slod` file `out`, which appears when it is complete; figures and sound go beside it.
 
     Args:
-        job: the recording and the settings; ``TrainJob(data=Path("clip"), test=("cam00",))``.
+        job: the recording and the settings; ``TrainJob(data="clip", test=["cam00"])``.
         on_frame: called with each frame as soon as it is written.
         sound: ``auto`` for that of the first camera that has some, ``none``, a camera's name, or a file.
 
@@ -42,12 +43,13 @@ def train_recording(
         BackendUnavailable: the device that the job asks for is not there.
         TrainingCutShort: a fault after the first frame; the file is whole and holds the frames before it.
     """
-    begin, count = time.perf_counter(), 0
+    begin, count, path = time.perf_counter(), 0, Path(out)
+    check_output(path)
 
     def counted(frame: EncodedFrame) -> None:
         nonlocal count
         count += 1
         on_frame(frame)
 
-    train_clip(open_job(job), out, counted, sound=sound)
-    return TrainingFigures(count, out.stat().st_size, time.perf_counter() - begin)
+    train_clip(open_job(job), path, counted, sound=sound)
+    return TrainingFigures(count, path.stat().st_size, time.perf_counter() - begin)

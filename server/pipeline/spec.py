@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from streamlod.core.errors import InputError
 from streamlod.core.options import option, options_of
-from streamlod.server.pipeline.job import JOB_FIELDS, JOB_OPTIONS, MAX_PATH, SOURCES, TrainJob, job_from_json
+from streamlod.server.pipeline.job import JOB_FIELDS, JOB_OPTIONS, MAX_PATH, SOURCES, TrainJob
 
 _ID = "^[a-z0-9][a-z0-9_-]{0,63}$"
 
@@ -83,4 +83,4 @@ def spec_from_json(values: dict[str, Any]) -> StreamSpec:
         own["play"] = Path(own["play"])
     job = {name: value for name, value in values.items() if name in JOB_FIELDS}
     has_source = any(values.get(name) is not None for name in SOURCES)
-    return StreamSpec(**own, job=job_from_json(_STREAM_DEFAULTS | job) if has_source else None)
+    return StreamSpec(**own, job=TrainJob(**_STREAM_DEFAULTS | job) if has_source else None)

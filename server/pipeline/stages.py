@@ -23,7 +23,7 @@ from streamlod.codec.mp4.sound import SoundPiece
 from streamlod.codec.refresh import RefreshRule, RefreshSchedule, keyframe_bytes
 from streamlod.core.camera import Camera
 from streamlod.core.camera.space import space_of
-from streamlod.core.data import Dataset, linspace_split, open_dataset, prefetch
+from streamlod.core.data import Dataset, open_dataset, prefetch, training_cameras
 from streamlod.core.errors import InputError, ModelError, StreamlodError, TrainingCutShort
 from streamlod.core.files import write_text
 from streamlod.core.frames import FrameSet
@@ -173,7 +173,7 @@ def open_job(
         dataset = open_dataset(job.data, layout=job.layout, downscale=job.downscale)
     else:
         dataset = open_synthetic(synthetic_spec(job.synthetic or {}))
-    names = job.train or linspace_split(dataset.names, job.views, job.test).train
+    names = training_cameras(dataset.names, job.train, job.views, job.test)
     dataset = dataset.normalised()
     chosen = dataset.select(names)
     if len(chosen.cameras) > MAX_CAMERAS:

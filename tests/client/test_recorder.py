@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from streamlod.client.recorder import open_recorder
+from streamlod.client.recorder import open_recorder, write_png
 from streamlod.core.arrays import UInt8
 from streamlod.core.errors import InputError
 
@@ -40,6 +40,13 @@ def test_mp4_holds_the_pictures_at_their_rate(tmp_path: Path) -> None:
     assert len(frames) == 5
     assert np.abs(frames[3].astype(int) - picture(3)[:48, :64]).mean() < 6
     assert [path.name for path in tmp_path.iterdir()] == ["a.mp4"]
+
+
+def test_paths_may_be_text(tmp_path: Path) -> None:
+    write_png(str(tmp_path / "a.png"), picture(1))
+    with open_recorder(str(tmp_path / "b.mp4"), 30) as recorder:
+        recorder.add(picture(1))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.mp4"]
 
 
 def test_an_error_leaves_no_video(tmp_path: Path) -> None:

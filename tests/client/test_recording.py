@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from streamlod.client.inspection import describe_file
-from streamlod.client.recording import decode_frames, decode_version, versions
+from streamlod.client.recording import decode_frames, decode_version, open_recording, versions
 from streamlod.codec.container import SlodWriter
 from streamlod.codec.container.layout import FILE_HEAD, entry_of, file_end, record
 from streamlod.codec.encoder import encode_keyframe, encode_residual
@@ -39,6 +39,14 @@ def test_frames_are_the_encoders_states(tmp_path: Path) -> None:
     assert [frame.predicted_bytes for frame in frames] == [0, *map(len, data[1:])]
     assert_same_state(scenes[3], decode_version(tmp_path / "a.slod", 3))
     assert versions(tmp_path / "a.slod") == (0, 1, 2, 3, 4)
+
+
+def test_a_recording_is_opened_by_a_path_that_is_text(tmp_path: Path) -> None:
+    scenes = states(2)
+    write_clip(tmp_path / "a.slod", scenes)
+    recording = open_recording(str(tmp_path / "a.slod"))
+    assert_same_state(scenes[1], recording.scene(1))
+    assert len(list(recording.frames())) == 2
 
 
 def test_an_early_keyframe_is_replaced_and_a_new_one_counted_apart(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from streamlod.client.evaluation.options import STUDY_OPTIONS, TRADEOFF_OPTIONS, StudyOptions, TradeoffOptions
+from streamlod.core.files import check_output
 from streamlod.server.cli.app import app
 from streamlod.server.cli.given import require
 from streamlod.server.cli.options import TRAINING, Data, Layout, SlodFile, names_in, takes
@@ -30,12 +31,14 @@ def train(
 
     A fault after the first frame, such as a damaged picture, ends the file there, whole, with exit code 2.
     """
-    from streamlod.server.cli.commands import check_cameras, check_outputs
+    from streamlod.server.cli.commands import check_cameras
     from streamlod.server.cli.commands import train as run
 
     require(data)
     job = TrainJob(data=data, **options)
-    check_outputs(out, json, trace)
+    for path in (out, json, trace):
+        if path is not None:
+            check_output(path)
     check_cameras(job)
     typer.echo(run(job, out, json, trace, sound))
 

@@ -101,6 +101,7 @@ def test_distortion_is_dropped_only_on_request() -> None:
         ({"world_to_camera": np.zeros((4, 4))}, "does not hold a rotation"),
         ({"world_to_camera": 1e200 * np.eye(4)}, "its pose holds numbers beyond 1e\\+12"),
         ({"width": 0}, "picture size 0x64"),
+        ({"width": 96 / 2}, "picture size 48.0x64 is not in whole pixels"),
     ],
 )
 def test_faults_name_the_camera(changes: dict[str, Any], message: str) -> None:
