@@ -141,7 +141,8 @@ class Trainer:
             return TrainedFrame(scene, None, FrameReport({}, 0, scene.anchor_count, scene.anchor_count, 0.0))
         views = self._views(frames)
         with watch.stage("refresh"):
-            field = state.field.with_rows(torch.nonzero(state.alive)[:, 0])
+            # which anchors a step draws is left to training
+            field = replace(state.field.with_rows(torch.nonzero(state.alive)[:, 0]), by_distance=False)
             config = refresh_config(self._config, field, state.scene.version)
             cell = motion_cell_of(state.scene, self._config.predict)
             trainer = KeyframeTrainer(field, views, config, self._backend, self._exposure, motion_cell=cell)

@@ -66,30 +66,14 @@ def join(first: Splats, second: Splats) -> Splats:
     return Splats(*(torch.cat(pair) for pair in zip(first.astuple(), second.astuple(), strict=True)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ViewInput:
-    """What a view-dependent network sees of a camera: its centre [3] and d_max in world units."""
-
-    centre: Tensor
-    reference_distance: float
-
-
-def decode(
-    feature: Tensor, offset: Tensor, scaling: Tensor, position: Tensor, network: Network, view: ViewInput | None
-) -> Splats:
+def decode(inputs: Tensor, offset: Tensor, scaling: Tensor, position: Tensor, network: Network) -> Splats:
     """Gaussians of N anchors.
 
     What follows the network is one numba pass on the CPU.
 
     Args:
-        feature: [N,F]; offset: [N,K,3]; scaling: [N,6] log-scales; position: [N,3] world.
-        view: where from, for a view-dependent network; None otherwise.
+        inputs: [N,I] what the network sees; offset: [N,K,3]; scaling: [N,6] log-scales; position: [N,3] world.
     """
-    inputs = feature
-    if view is not None:
-        away = position.detach() - view.centre
-        distance = away.norm(dim=1, keepdim=True).clamp_min(1e-12)
-        inputs = torch.cat([feature, away / distance, distance / view.reference_distance], dim=1)
     given = (inputs, offset, scaling, position, *network.parameters())
     if all(value.device.type == "cpu" and value.dtype == torch.float32 for value in given):
         return Splats(*_Fused.apply(*given))  # type: ignore[no-untyped-call]
@@ -109,7 +93,7 @@ def decode_reference(
     """The parts of `Splats` by torch, on any device and for any float type; nothing in it waits for a device.
 
     Args:
-        inputs: [N,I] what the network sees; the others as `decode` and `Network` have them.
+        inputs, offset, scaling, position: as for `decode`; the others as `Network` has them.
     """
     hidden = torch.addmm(hidden_bias, inputs, hidden_weight).relu()
     return _activated(torch.addmm(output_bias, hidden, output_weight), offset, scaling, position)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from streamlod.core.scene.octree import Octree
-from streamlod.core.train.field.decode import Network, Splats, ViewInput, decode
+from streamlod.core.train.field.decode import Network, Splats, decode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,10 +48,6 @@ class Field:
         """K, Gaussians an anchor."""
         return self.offset.shape[1]
 
-    def view(self, centre: Tensor) -> ViewInput | None:
-        """The inputs of the network for a camera at `centre` [3]."""
-        return ViewInput(centre, self.reference_distance) if self.view_dependent else None
-
     @property
     def looks_the_same(self) -> bool:
         """Whether every camera gets the same Gaussians."""
@@ -59,13 +55,17 @@ class Field:
 
     def decode(self, centre: Tensor, rows: Tensor | None = None) -> Splats:
         """Gaussians of `rows` (all by default) for a camera at `centre` [3]; those not called for are transparent."""
-        parts = (self.feature, self.offset, self.scaling, self.position)
         if rows is not None:
-            parts = (self.feature[rows], self.offset[rows], self.scaling[rows], self.position[rows])
-        splats = decode(*parts, self.network, self.view(centre))
+            return self.with_rows(rows).decode(centre)
+        inputs = self.feature
+        if self.view_dependent:
+            away = self.position.detach() - centre
+            distance = away.norm(dim=1, keepdim=True).clamp_min(1e-12)
+            inputs = torch.cat([self.feature, away / distance, distance / self.reference_distance], dim=1)
+        splats = decode(inputs, self.offset, self.scaling, self.position, self.network)
         if not self.by_distance:
             return splats
-        drawn = visible_levels(self if rows is None else self.with_rows(rows), centre, self.octree.levels - 1)
+        drawn = visible_levels(self, centre, self.octree.levels - 1)
         return replace(splats, opacities=splats.opacities * drawn.repeat_interleave(self.slots))
 
     def to(self, device: str) -> Field:

@@ -51,16 +51,15 @@ class Precision:
     scaling: Tensor
     shift: Tensor
 
-    def rounded(
-        self, feature: Tensor, offset: Tensor, scaling: Tensor, rows: Tensor | None = None
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """The arrays of anchors `rows` as the decoder will have them, with straight-through gradients."""
+    def rounded(self, field: Field, rows: Tensor | None = None) -> Field:
+        """`field`, which has the anchors `rows`, as the decoder will have it, with straight-through gradients."""
         times = 2.0 ** (self.shift if rows is None else self.shift[rows])[:, None]
-        sent = _on_grid(feature.detach() @ self.basis, self.feature * times) @ self.inverse
-        return (
-            feature + (sent - feature).detach(),
-            _on_grid(offset, self.offset * times[..., None]),
-            _on_grid(scaling, self.scaling * times),
+        sent = _on_grid(field.feature.detach() @ self.basis, self.feature * times) @ self.inverse
+        return replace(
+            field,
+            feature=field.feature + (sent - field.feature).detach(),
+            offset=_on_grid(field.offset, self.offset * times[..., None]),
+            scaling=_on_grid(field.scaling, self.scaling * times),
         )
 
     def sent(self, field: Field) -> Field:

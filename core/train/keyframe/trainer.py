@@ -10,10 +10,10 @@ from torch import Tensor
 from streamlod.core.render.backends import Backend
 from streamlod.core.scene.octree import narrowest_cell
 from streamlod.core.train.config import KeyframeConfig, TrainConfig
-from streamlod.core.train.field.decode import Network, Splats, decode
+from streamlod.core.train.field.decode import Network, Splats
 from streamlod.core.train.field.exposure import Exposure, neutral
 from streamlod.core.train.field.field import Field, visible_levels
-from streamlod.core.train.field.learned import ROW_PARAMETERS, LearnedField
+from streamlod.core.train.field.learned import LearnedField
 from streamlod.core.train.field.rounding import Precision, usual_precision
 from streamlod.core.train.growth.gradient import GrowthStatistics
 from streamlod.core.train.growth.near_space import NearSpace
@@ -74,9 +74,7 @@ class KeyframeTrainer:
     @property
     def field(self) -> Field:
         """The anchors as they are now: averaged over the last steps once these have come, rounded as they are sent."""
-        field = self._learned.settled
-        feature, offset, scaling = self.precision.rounded(field.feature, field.offset, field.scaling)
-        return replace(field, feature=feature, offset=offset, scaling=scaling)
+        return self.precision.rounded(self._learned.settled)
 
     @property
     def precision(self) -> Precision:
@@ -186,34 +184,28 @@ class KeyframeTrainer:
         return self._up_to[highest] if highest < len(self._up_to) else None
 
     def _decode(self, field: Field, number: int, rows: Tensor | None, *, rounded: bool) -> Splats:
-        values = (field.feature, field.offset, field.scaling, field.position)
-        feature, offset, scaling, position = values if rows is None else (value[rows] for value in values)
+        drawn = field if rows is None else field.with_rows(rows)
         if rounded:
-            feature, offset, scaling = self.precision.rounded(feature, offset, scaling, rows)
-        return decode(feature, offset, scaling, position, field.network, field.view(self._centres[number]))
+            drawn = self.precision.rounded(drawn, rows)
+        return drawn.decode(self._centres[number])
 
     def _measured_precision(self, field: Field) -> Precision:
         """Precision that costs as much of the squared error of every camera, on average, as configured."""
         if len(field) <= field.feature.shape[1]:  # too few rows to say how features go together
             return usual_precision(field)
-        network = Network(*(value.detach() for value in field.network.parameters()))
-        leaves, usable = tuple(getattr(field, name) for name in ROW_PARAMETERS), self._whole.usable
-        errors = RelativeErrors(self._view_loss, usable)
+        usable = self._whole.usable
+        start = replace(field, network=Network(*(value.detach() for value in field.network.parameters())))
 
         def splats(number: int, leaves: tuple[Tensor, ...]) -> Splats:
             feature, offset, scaling = leaves
-            return decode(feature, offset, scaling, field.position, network, field.view(self._centres[number]))
-
-        def draw(number: int, leaves: tuple[Tensor, ...]) -> Tensor:
-            return errors.picture(number, splats(number, leaves))
+            return replace(start, feature=feature, offset=offset, scaling=scaling).decode(self._centres[number])
 
         def added(precision: Precision) -> float:
-            rounded = precision.rounded(*leaves)
-            return errors.added(lambda number: splats(number, rounded))
+            return len(usable) * errors.added(_leaves(precision.rounded(start)))
 
-        found = sensitivity(signed_gradients(leaves, draw, usable, seed=self._steps))
-        budget = self._config.rounding_share * len(usable)
-        return tuned_precision(field, found, budget, lambda precision: len(usable) * added(precision))
+        errors = RelativeErrors(self._view_loss, splats)
+        found = sensitivity(signed_gradients(_leaves(start), errors.picture, usable, seed=self._steps))
+        return tuned_precision(field, found, self._config.rounding_share * len(usable), added)
 
     def _order_by_effect(self) -> None:
         """Put anchors on levels by what they are worth; those without which pictures look almost as they do go.
@@ -223,21 +215,15 @@ class KeyframeTrainer:
         share, field, usable = self._config.effect_share, self._learned.settled, self._whole.usable
         if self._model.selection == "distance":
             return
-        errors = RelativeErrors(self._view_loss, usable)
 
         def splats(number: int, present: Tensor) -> Splats:
-            whole = self._decode(field, number, None, rounded=False)
+            whole = field.decode(self._centres[number])
             return replace(whole, opacities=whole.opacities * present.repeat_interleave(field.slots))
 
-        def draw(number: int, present: Tensor) -> Tensor:
-            return errors.picture(number, splats(number, present))
-
-        def added(present: Tensor) -> float:
-            return errors.added(lambda number: splats(number, present))
-
-        effects = anchor_effects(len(field), draw, usable, self._steps, field.level.device)
+        errors = RelativeErrors(self._view_loss, splats)
+        effects = anchor_effects(len(field), errors.picture, usable, self._steps, field.level.device)
         if share > 0:
-            kept = torch.nonzero(~dispensable(effects, share, added))[:, 0]
+            kept = torch.nonzero(~dispensable(effects, share, errors.added))[:, 0]
             self._learned.keep(kept)
             effects = effects[kept]
         cell = narrowest_cell(self._motion_cell)
@@ -258,6 +244,10 @@ class KeyframeTrainer:
         self._of_gaussians: tuple[Tensor, ...] = tuple(
             value.repeat_interleave(field.slots).view(len(field), -1) for value in values
         )
+
+
+def _leaves(field: Field) -> tuple[Tensor, Tensor, Tensor]:
+    return field.feature, field.offset, field.scaling
 
 
 def _of_rows(values: Tensor, rows: Tensor | None) -> Tensor:

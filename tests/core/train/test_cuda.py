@@ -47,7 +47,7 @@ def test_decode_equals_the_reference(count: int, gpu: str) -> None:
     given = [field.feature, field.offset, field.scaling, field.position, *field.network.parameters()]
     there = [value.to(gpu).requires_grad_() for value in given]
     here = [value.double().requires_grad_() for value in given]
-    found = decode(*there[:4], Network(*there[4:]), None).astuple()
+    found = decode(*there[:4], Network(*there[4:])).astuple()
     wanted = decode_reference(*here)
     _agree(found, wanted, there, here)
 

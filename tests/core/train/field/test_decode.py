@@ -115,7 +115,7 @@ def _inputs(count: int, slots: int, view_dependent: bool) -> list[Tensor]:
 
 
 def _fused(inputs: Tensor, offset: Tensor, scaling: Tensor, position: Tensor, *network: Tensor) -> tuple[Tensor, ...]:
-    return decode(inputs, offset, scaling, position, Network(*network), None).astuple()
+    return decode(inputs, offset, scaling, position, Network(*network)).astuple()
 
 
 def _outcome(function: Callable[..., tuple[Tensor, ...]], given: list[Tensor], dtype: torch.dtype) -> list[Tensor]:

@@ -14,6 +14,7 @@ from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import field_of, scene_of
 from streamlod.core.train.field.decode import Network
 from streamlod.core.train.field.field import Field
+from streamlod.core.train.field.learned import ROW_PARAMETERS
 from streamlod.core.train.field.rounding import Precision, usual_precision
 from streamlod.core.train.keyframe.precision import (
     COARSEST,
@@ -98,9 +99,10 @@ def _found(field: Field) -> Sensitivity:
 
 def _error(field: Field, found: Sensitivity, precision: Precision) -> float:
     """What rounding adds to the squared error, for anchors whose numbers do not act on the same pixels."""
-    feature, offset, scaling = precision.rounded(field.feature, field.offset, field.scaling)
-    of_features = (found.feature * (feature - field.feature)).sum(dim=2).square().sum()
-    rest = (found.offset * (offset - field.offset) ** 2).sum() + (found.scaling * (scaling - field.scaling) ** 2).sum()
+    rounded = precision.rounded(field)
+    feature, offset, scaling = (getattr(rounded, name) - getattr(field, name) for name in ROW_PARAMETERS)
+    of_features = (found.feature * feature).sum(dim=2).square().sum()
+    rest = (found.offset * offset**2).sum() + (found.scaling * scaling**2).sum()
     return float(of_features + rest)
 
 
@@ -144,30 +146,29 @@ def test_one_anchor_that_rounding_throws_off_does_not_make_all_others_finer(shar
 def test_what_is_sent_decodes_to_what_was_rounded() -> None:
     field = _field(300)
     precision = measured_precision(field, _found(field), 50.0 * 300)
-    feature, offset, scaling = precision.rounded(field.feature, field.offset, field.scaling)
+    rounded = precision.rounded(field)
     again = field_of(scene_of(field, PredictConfig(), (), 30.0, 0, precision))
-    hidden = feature @ field.network.hidden_weight
+    hidden = rounded.feature @ field.network.hidden_weight
     sent = again.feature @ again.network.hidden_weight
     order = again.voxel[:, 0].long()  # Morton order of a diagonal is its own
     scale = float(hidden.abs().max())
     torch.testing.assert_close(sent, hidden[order], atol=2e-3 * scale, rtol=0)  # the network travels in float16
-    torch.testing.assert_close(again.offset, offset[order], atol=1e-5, rtol=1e-5)
-    torch.testing.assert_close(again.scaling, scaling[order], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(again.offset, rounded.offset[order], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(again.scaling, rounded.scaling[order], atol=1e-5, rtol=1e-5)
 
 
 def test_rows_are_rounded_to_their_own_steps() -> None:
     field = _field(6)
     field = replace(field, offset=field.offset.requires_grad_(), feature=field.feature.requires_grad_())
     precision = replace(usual_precision(field), shift=torch.arange(6))
-    rounded = precision.rounded(field.feature, field.offset, field.scaling)
+    rounded = precision.rounded(field)
     for row in range(6):
-        for values, before, step in zip(
-            rounded, (field.feature, field.offset, field.scaling), (0.025, 0.0125, 0.0125), strict=True
-        ):
+        for name, step in zip(ROW_PARAMETERS, (0.025, 0.0125, 0.0125), strict=True):
+            values, before = getattr(rounded, name), getattr(field, name)
             width = step * 2**row
             torch.testing.assert_close((values[row] / width).round() * width, values[row])
             assert float((values[row] - before[row]).detach().abs().max()) <= width / 2 + 1e-6
-    sum(values.sum() for values in rounded[:2]).backward()  # type: ignore[union-attr]
+    (rounded.feature.sum() + rounded.offset.sum()).backward()  # type: ignore[no-untyped-call]
     for leaf in (field.feature, field.offset):
         assert leaf.grad is not None
         assert torch.equal(leaf.grad, torch.ones_like(leaf))
@@ -177,9 +178,7 @@ def test_features_that_do_nothing_and_single_anchors_have_a_precision() -> None:
     field = _field(1)
     found = _found(field)
     for silent in (found, replace(found, feature=0 * found.feature)):
-        precision = measured_precision(field, silent, 10.0)
-        assert all(
-            bool(values.isfinite().all()) for values in precision.rounded(field.feature, field.offset, field.scaling)
-        )
+        rounded = measured_precision(field, silent, 10.0).rounded(field)
+        assert all(bool(getattr(rounded, name).isfinite().all()) for name in ROW_PARAMETERS)
     nothing = Sensitivity(0 * found.feature, 0 * found.offset, 0 * found.scaling)
     assert measured_precision(field, nothing, 10.0).shift.tolist() == [0]
