@@ -29,6 +29,7 @@ from streamlod.client.recorder import write_png
 from streamlod.client.recording import RecordedFrame, decode_frames
 from streamlod.core.camera.space import space_of
 from streamlod.core.data import Dataset, open_dataset
+from streamlod.core.data.names import listed
 from streamlod.core.errors import InputError
 from streamlod.core.frames import FrameSet
 from streamlod.core.scene.anchors import Scene, SceneHeader
@@ -73,13 +74,20 @@ def evaluate_file(
         tell: called after every frame.
 
     Raises:
-        InputError: the file or the data set is unusable, or they have no frame in common.
+        InputError: the file or the data set is unusable, they have no frame in common, or a camera of `test` trained.
     """
+    training = _training_figures(scene)
+    trained = _trained_cameras(training, scene)
+    leaked = sorted(set(test) & set(trained or ()))
+    if leaked:
+        raise InputError(
+            "--test", f"{listed(leaked)} trained {scene}; hold it out by train --test, or leave --test away"
+        )
     perception = load_perception(vgg=False)
     scores: list[DecodedScore] = []
     movers: MovingPixels | None = None
     spec = read_spec(data) if data.is_dir() else None
-    with closing(_pairs(scene, data, test, layout, downscale)) as pairs:
+    with closing(_pairs(scene, data, test, trained, layout, downscale)) as pairs:
         for decoded, frame, dataset in pairs:
             cameras, index = dataset.cameras[: _measured(test, dataset)], frame.index
             truth = frame.images[: len(cameras)]
@@ -88,7 +96,7 @@ def evaluate_file(
             picture, drawn = score(decoded.scene, cameras, truth, perception)
             movers = movers or MovingPixels(dataset.calibrated[: len(cameras)], spec)
             moving = moving_score(drawn, truth, movers.masks(index, truth), perception.alex)
-            stood = _at_cameras(decoded.scene, frame, dataset, None if scores else spec)
+            stood = _at_cameras(decoded.scene, frame, dataset, len(test), None if scores else spec)
             scores.append(DecodedScore(index, picture, decoded.key_bytes, decoded.predicted_bytes, moving, stood))
             if images is not None:
                 for camera, *pair in zip(cameras, truth, drawn, strict=True):
@@ -97,7 +105,7 @@ def evaluate_file(
     if not scores:
         raise InputError(scene, f"has no frame at the times of {data}; is it a recording of this data set?")
     names = tuple(camera.name for camera in cameras)
-    return _report(scores, _training_figures(scene), scene.stat().st_size, names)
+    return _report(scores, training, scene.stat().st_size, names)
 
 
 def _measured(test: tuple[str, ...], dataset: Dataset) -> int:
@@ -105,24 +113,29 @@ def _measured(test: tuple[str, ...], dataset: Dataset) -> int:
     return len(test) or len(dataset.cameras)
 
 
-def _at_cameras(scene: Scene, frame: FrameSet, dataset: Dataset, spec: SyntheticSpec | None) -> dict[str, Any]:
-    """Quality at the cameras that trained, of those that `dataset` has and that are there in this frame."""
-    trained = {camera.name for camera in scene.header.cameras}
-    rows = {c.name: row for row, c in enumerate(dataset.cameras) if c.name in trained and frame.present[row]}
-    chosen = list(rows.values())
+def _at_cameras(
+    scene: Scene, frame: FrameSet, dataset: Dataset, held_out: int, spec: SyntheticSpec | None
+) -> dict[str, Any]:
+    """Quality at the cameras of `dataset` that trained, those after the first `held_out`, if in this frame."""
+    chosen = [row for row in range(held_out, len(dataset.cameras)) if frame.present[row]]
     cameras = [dataset.cameras[row] for row in chosen]
     return places(lambda camera: draw(scene, camera), cameras, frame.images[chosen], spec, frame.index, dataset.space)
 
 
 def _pairs(
-    scene: Path, data: Path, test: tuple[str, ...], layout: str | None, downscale: float | None
+    scene: Path,
+    data: Path,
+    test: tuple[str, ...],
+    trained: tuple[str, ...] | None,
+    layout: str | None,
+    downscale: float | None,
 ) -> Generator[tuple[RecordedFrame, FrameSet, Dataset], None, None]:
     """Decoded frames with the pictures of the same time: of the held-out cameras, then of those that trained."""
     decoded = decode_frames(scene)
     current = next(decoded, None)
     if current is None:
         raise InputError(scene, "holds no packet")
-    dataset = _dataset(current.scene.header, data, test, layout, downscale)
+    dataset = _dataset(current.scene.header, data, test, trained, layout, downscale)
     half_frame = 0.5e9 / dataset.fps
     for frame in dataset.frames():
         while current is not None and current.time_ns < frame.time_ns - half_frame:
@@ -134,12 +147,22 @@ def _pairs(
 
 
 def _dataset(
-    header: SceneHeader, data: Path, test: tuple[str, ...], layout: str | None, downscale: float | None
+    header: SceneHeader,
+    data: Path,
+    test: tuple[str, ...],
+    trained: tuple[str, ...] | None,
+    layout: str | None,
+    downscale: float | None,
 ) -> Dataset:
-    """The held-out cameras and those of `header` that `data` has; without `downscale`, in the size of the training."""
+    """The held-out cameras and those that trained, of which `data` has pictures.
+
+    Args:
+        trained: names of the latter; None, where that is not known, for all others of `header`.
+        downscale: as in `evaluate_file`.
+    """
     full = open_dataset(data, layout=layout, downscale=downscale or 1.0)
-    trained = (camera.name for camera in header.cameras if camera.name in full.names)
-    names = tuple(dict.fromkeys((*test, *trained)))
+    rig = [camera.name for camera in header.cameras] if trained is None else trained
+    names = tuple(dict.fromkeys((*test, *(name for name in rig if name in full.names))))
     if not names:
         raise InputError(data, "has none of the cameras that trained the file; name some of its own with --test")
     full = full.select(names)
@@ -161,6 +184,16 @@ def _training_figures(scene: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise InputError(path, f"cannot be read as JSON ({error})") from error
     return value if isinstance(value, dict) else {}
+
+
+def _trained_cameras(figures: dict[str, Any], scene: Path) -> tuple[str, ...] | None:
+    """Names of the cameras that trained, of the figures beside `scene`; None where they do not say."""
+    names = figures.get("trained_cameras")
+    if names is None:
+        return None
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InputError(scene.with_name(scene.name + ".json"), "'trained_cameras' must be a list of camera names")
+    return tuple(names)
 
 
 def _report(

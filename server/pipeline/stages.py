@@ -256,6 +256,7 @@ def train_clip(
         "train_seconds": float(np.mean(seconds)) if seconds else None,
         "first_frame_seconds": first_seconds,
         "space": opened.dataset.space.to_json(),
+        "trained_cameras": list(dataset.names),
         "job": {name: str(value) for name, value in opened.job.to_json().items()},
         "cut_short": None if cut is None else str(cut),
         "per_frame": reports,

@@ -94,6 +94,25 @@ def test_a_rig_that_holds_out_no_camera_is_measured_at_its_own(
         evaluate_file(scene, tmp_path / "data", ())
 
 
+def test_cameras_that_trained_and_those_that_did_not_are_told_apart(
+    clip: tuple[Path, Path, list[Scene], list[bytes]], tmp_path: Path
+) -> None:
+    """The file's header names the whole rig; which of it trained stand in the figures beside it."""
+    _, data, scenes, _ = clip
+    first, second = (camera.name for camera in scenes[0].header.cameras[:2])
+    write_clip(tmp_path / "a.slod", scenes)
+    figures = tmp_path / "a.slod.json"
+    figures.write_text(json.dumps({"trained_cameras": [second]}))
+    assert evaluate_file(tmp_path / "a.slod", data, ())["cameras"] == [second]
+    held_out = evaluate_file(tmp_path / "a.slod", data, (first,))
+    assert (held_out["cameras"], list(held_out["places"]["at"])) == ([first], [second])
+    with pytest.raises(InputError, match=f"--test: {second} trained .*; hold it out by train --test"):
+        evaluate_file(tmp_path / "a.slod", data, (first, second))
+    figures.write_text(json.dumps({"trained_cameras": "all"}))
+    with pytest.raises(InputError, match="must be a list of camera names"):
+        evaluate_file(tmp_path / "a.slod", data, ())
+
+
 def test_another_scene_scores_worse(clip: tuple[Path, Path, list[Scene], list[bytes]], tmp_path: Path) -> None:
     scene, data, scenes, _ = clip
     other = states(FRAMES, replace(plain_scene(seed=9), header=scenes[0].header))

@@ -108,6 +108,7 @@ def test_a_clip_becomes_a_file_that_plays(trained: tuple[Path, list[EncodedFrame
     assert [camera.name for camera in decoder.scene.header.cameras] == [f"cam{n:02d}" for n in range(5)]
     figures = json.loads((folder / "scene.slod.json").read_text())
     first, *later = [frame.report["total_seconds"] for frame in seen]
+    assert figures["trained_cameras"] == ["cam01", "cam02", "cam03", "cam04"]
     assert figures["first_frame_seconds"] == first > 0
     assert figures["train_seconds"] == pytest.approx(sum(later) / 3)
     assert min(later) > 0
