@@ -29,7 +29,7 @@ from streamlod.core.train.keyframe.seeding import seed_field
 from streamlod.core.train.keyframe.trainer import KeyframeTrainer
 from streamlod.core.train.later_frame.frame import AFTER_TRAINING, Means, train_later_frame
 from streamlod.core.train.later_frame.references import as_filmed
-from streamlod.core.train.later_frame.state import State, fresh_state
+from streamlod.core.train.later_frame.state import KnownPictures, State, fresh_state, no_pictures
 from streamlod.core.train.pictures.uploading import Uploader
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
@@ -112,17 +112,8 @@ class Trainer:
         with watch.stage("round"):
             scene = preview()
             self._exposure, self._first_count = trainer.exposure, scene.anchor_count
-            self._adopt(scene, views)
-        report = FrameReport(
-            watch.seconds,
-            len(losses),
-            scene.anchor_count,
-            scene.anchor_count,
-            float(torch.stack(losses[-50:]).mean()),
-            trainer.broken,
-            tuple(watch.spans),
-        )
-        return TrainedFrame(scene, None, report)
+            self._state = as_filmed(self._fresh(scene), views, views.usable)
+        return _as_keyframe(scene, losses, trainer.broken, watch)
 
     def refresh(self, frames: FrameSet, on_progress: ProgressCallback | None = None) -> TrainedFrame:
         """A keyframe of the latest state, trained on as configured against `frames`, which that state shows.
@@ -149,12 +140,9 @@ class Trainer:
             losses = _run(trainer, "keyframe", on_progress)
             self._exposure = trainer.exposure
             scene = self._scene_of(trainer, state.scene.version)
-            references = torch.full_like(views.targets, torch.nan) if state.references is None else state.references
-            fresh = replace(self._fresh(scene, references), filmed=references if state.filmed is None else state.filmed)
-            self._state = as_filmed(fresh, views, views.usable)
-        loss, count = float(torch.stack(losses[-50:]).mean()), scene.anchor_count
-        report = FrameReport(watch.seconds, len(losses), count, count, loss, trainer.broken, tuple(watch.spans))
-        return TrainedFrame(scene, None, report)
+            known = replace(state.known, shown=torch.full_like(state.known.shown, torch.nan))
+            self._state = as_filmed(self._fresh(scene, known), views, views.usable)
+        return _as_keyframe(scene, losses, trainer.broken, watch)
 
     @property
     def has_state(self) -> bool:
@@ -169,8 +157,7 @@ class Trainer:
         """
         self._first_count = self._first_count or scene.anchor_count
         if keep_references and self._state is not None:
-            before = self._state
-            self._state = replace(self._fresh(scene, before.references, before.shown), filmed=before.filmed)
+            self._state = self._fresh(scene, self._state.known)
         else:
             if self._state is None:  # after a crash
                 told, rig = scene.metadata.exposures or (), scene.header.cameras
@@ -265,34 +252,26 @@ class Trainer:
         told = tuple(known.get(camera.name, NEUTRAL) for camera in self._rig)  # some of the rig's may not train
         return replace(scene, metadata=Metadata(exposures=told))
 
-    def _adopt(self, scene: Scene, views: Views) -> None:
-        references = torch.full_like(views.targets, torch.nan)
-        references[views.usable] = views.targets[views.usable]
-        self._state = self._fresh(scene, references)
-
-    def _fresh(self, scene: Scene, references: Tensor | None = None, shown: Tensor | None = None) -> State:
-        by_distance = self._config.model.selection == "distance"
-        return fresh_state(scene, self._device, references, shown, by_distance=by_distance)
+    def _fresh(self, scene: Scene, known: KnownPictures | None = None) -> State:
+        known = no_pictures(self._cameras, self._device) if known is None else known
+        return fresh_state(scene, self._device, known, by_distance=self._config.model.selection == "distance")
 
     def _with_pictures(self, state: State, views: Views) -> tuple[State, list[int]]:
         """The state with references for every usable camera, and the numbers of those that had none.
 
         A camera has none after a resume, and when it joins late; what the state shows it now must do.
         """
-        nothing = torch.full_like(views.targets, torch.nan)
-        references = nothing if state.references is None else state.references
-        shown = nothing if state.shown is None else state.shown
-        unknown = [number for number in views.usable if bool(references[number, 0, 0, 0].isnan())]
-        if unknown:
-            pictures = rendered(state.field, state.alive, replace(views, usable=unknown), self._backend)
-            if self._config.model.exposure and self._refit_exposure:
-                self._exposure = fitted(pictures, views.targets, unknown)
-                self._refit_exposure = False
-            pictures = self._as_filmed(pictures)
-            shown, references = _where_known(pictures, shown), _where_known(pictures, references)
-        filmed = references if state.filmed is None else state.filmed
-        filmed = _where_known(filmed, references) if unknown else filmed
-        return replace(state, references=references, filmed=filmed, shown=shown), unknown
+        known = state.known
+        unknown = [number for number in views.usable if bool(known.references[number, 0, 0, 0].isnan())]
+        if not unknown:
+            return state, unknown
+        pictures = rendered(state.field, state.alive, replace(views, usable=unknown), self._backend)
+        if self._config.model.exposure and self._refit_exposure:
+            self._exposure = fitted(pictures, views.targets, unknown)
+            self._refit_exposure = False
+        pictures = self._as_filmed(pictures)
+        references, shown = _where_known(pictures, known.references), _where_known(pictures, known.shown)
+        return replace(state, known=KnownPictures(references, _where_known(known.filmed, references), shown)), unknown
 
     def _as_filmed(self, pictures: Tensor) -> Tensor:
         """`pictures` [C,H,W,3] with the cameras' exposures."""
@@ -318,6 +297,13 @@ def _run(
             mean = float(torch.stack(losses[-_REPORT_EVERY:]).mean())
             on_progress(Progress(stage, trainer.progress, mean, len(trainer.field), preview))
     return losses
+
+
+def _as_keyframe(scene: Scene, losses: list[Tensor], broken: int, watch: Stopwatch) -> TrainedFrame:
+    """A run's `scene`, with the figures of the run."""
+    loss, count = float(torch.stack(losses[-50:]).mean()), scene.anchor_count
+    report = FrameReport(watch.seconds, len(losses), count, count, loss, broken, tuple(watch.spans))
+    return TrainedFrame(scene, None, report)
 
 
 def _where_known(pictures: Tensor, otherwise: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from streamlod.core.train.later_frame.state import KnownPictures
 from streamlod.core.train.pictures.views import Views, halved_pictures
 
 _HALVED_FROM = 300  # rows of a picture; of smaller ones too little is left
@@ -23,15 +24,12 @@ class Comparison:
 
     Attributes:
         views: cameras, and the pictures that they should show. masks: [C,H,W] bool, pixels that changed.
-        references: [C,H,W,3] what the new ones are compared with. filmed: [C,H,W,3] those of the frame before.
-        shown: [C,H,W,3] what the cameras would film of the state before, NaN where unknown; None: of nothing.
+        known: those before.
     """
 
     views: Views
     masks: Tensor
-    references: Tensor
-    filmed: Tensor
-    shown: Tensor | None
+    known: KnownPictures
 
     @property
     def is_large(self) -> bool:
@@ -43,10 +41,12 @@ class Comparison:
         views = self.views.halved()
         size = views.targets.shape[1:3]
         masks = functional.adaptive_max_pool2d(self.masks[:, None].float(), size)[:, 0] > 0
-        shown = None if self.shown is None else halved_pictures(self.shown)
-        return Comparison(views, masks, halved_pictures(self.references), halved_pictures(self.filmed), shown)
+        known = self.known
+        return Comparison(
+            views, masks, KnownPictures(*map(halved_pictures, (known.references, known.filmed, known.shown)))
+        )
 
     def differences(self) -> Tensor:
         """[C] squared difference of changed pixels from the references, summed over pixels, mean over channels."""
-        squared = (self.views.targets - self.references).nan_to_num().square().mean(dim=3)
+        squared = (self.views.targets - self.known.references).nan_to_num().square().mean(dim=3)
         return torch.sum(squared * self.masks, dim=(1, 2))

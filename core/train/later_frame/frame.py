@@ -75,10 +75,8 @@ def train_later_frame(state: State, views: Views, index: int, means: Means) -> L
     watch, plan = means.watch, means.plan
     config = means.config.predict if plan is None else plan.applied(means.config.predict)
     with watch.stage("compare"):
-        assert state.references is not None
-        assert state.filmed is not None
-        masks = change_masks(state.references, state.filmed, views, config.noise_floor)
-        pictures = Comparison(views, masks, state.references, state.filmed, state.shown)
+        masks = change_masks(state.known.references, state.known.filmed, views, config.noise_floor)
+        pictures = Comparison(views, masks, state.known)
         coarse = pictures.halved() if pictures.is_large and config.half_size_until > 0 else pictures
     with watch.stage("partition"):
         dynamic, renewed = _selected(state, coarse, index, config, means)
@@ -101,15 +99,14 @@ def train_later_frame(state: State, views: Views, index: int, means: Means) -> L
         residual = residual_of(state.scene, rows.cpu().numpy(), update, index)
         after = state.after(residual, apply(state.scene, residual), dynamic)
     with watch.stage("settle"):
-        shown = state.shown
+        shown = state.known.shown
         if training is not None:
             drawn = np.flatnonzero(after.trained & after.alive.cpu().numpy())
             shown = training.show(after.field, torch.from_numpy(drawn).to(rows.device))
-        assert shown is not None
         if renewed:
             after = renewed_references(after, state, views, masks, shown, done=done)
-    after = replace(after, shown=shown, filmed=views.or_before(state.filmed))
-    return LaterFrame(after, residual, update, dynamic)
+    known = replace(after.known, shown=shown, filmed=views.or_before(state.known.filmed))
+    return LaterFrame(replace(after, known=known), residual, update, dynamic)
 
 
 def _selected(state: State, pictures: Comparison, index: int, config: PredictConfig, means: Means) -> tuple[Bool, bool]:
@@ -123,7 +120,7 @@ def _selected(state: State, pictures: Comparison, index: int, config: PredictCon
         canonical=state.canonical,
         alive=alive,
         views=pictures.views,
-        references=pictures.references,
+        references=pictures.known.references,
         masks=pictures.masks,
         previous=previous,
         backend=means.backend,

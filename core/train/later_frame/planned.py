@@ -71,5 +71,5 @@ class PlannedViews:
 
     def _known(self, number: int) -> Tensor | None:
         """[H,W,3] picture that camera `number` would film of the state before, if it is known."""
-        shown = self.pictures.shown
-        return None if shown is None or bool(shown[number, 0, 0, 0].isnan()) else shown[number]
+        shown = self.pictures.known.shown[number]
+        return None if bool(shown[0, 0, 0].isnan()) else shown

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from streamlod.core.train.later_frame.state import State
+from streamlod.core.train.later_frame.state import KnownPictures, State
 from streamlod.core.train.pictures.boxes import around
 from streamlod.core.train.pictures.views import Views
 
@@ -32,27 +32,23 @@ def renewed_references(after: State, before: State, views: Views, masks: Tensor,
     """
     if not masks.any():
         return after
-    assert after.references is not None
-    references = after.references.clone()
+    references = after.known.references.clone()
     least_gain = _GAIN if done else _GAIN_CUT_SHORT
     for number in torch.nonzero(masks.any(dim=2).any(dim=1))[:, 0].tolist():
         part = (number, *around(masks[number], _NEIGHBOURHOOD // 2))
         mask, target, now = masks[part][..., None], views.targets[part], shown[part].clamp(0, 1)
-        known = torch.full_like(now, torch.nan) if before.shown is None else before.shown[part].clamp(0, 1)
-        ends = stagnant(target[None], known[None], now[None], least_gain)[0, ..., None]
+        ends = stagnant(target[None], before.known.shown[part].clamp(0, 1)[None], now[None], least_gain)[0, ..., None]
         reached = torch.where(ends, target, now)
         reached = torch.where(now.isnan(), target if done else references[part], reached)
         references[part] = torch.where(mask, reached, references[part])
-    return replace(after, references=references)
+    return replace(after, known=replace(after.known, references=references))
 
 
 def as_filmed(state: State, views: Views, numbers: list[int]) -> State:
     """`state` with the pictures of the cameras `numbers` as those that the next ones are compared with."""
-    assert state.references is not None
-    assert state.filmed is not None
-    references, filmed = state.references.clone(), state.filmed.clone()
+    references, filmed = state.known.references.clone(), state.known.filmed.clone()
     references[numbers] = filmed[numbers] = views.targets[numbers]
-    return replace(state, references=references, filmed=filmed)
+    return replace(state, known=KnownPictures(references, filmed, state.known.shown))
 
 
 def stagnant(targets: Tensor, before: Tensor, now: Tensor, least_gain: float) -> Tensor:

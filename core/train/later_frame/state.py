@@ -9,11 +9,34 @@ import torch
 from torch import Tensor
 
 from streamlod.core.arrays import Bool, Int64
+from streamlod.core.camera import Camera
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import anchor_positions, dequantise
 from streamlod.core.scene.residual import Residual
 from streamlod.core.train.field.convert import field_of, level_starts
 from streamlod.core.train.field.field import Field
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownPictures:
+    """Pictures [C,H,W,3] of C cameras that are kept beside a state; NaN for cameras of which none is known.
+
+    Attributes:
+        references: what new ones are compared with: what was filmed when a change was last accepted, or what the state
+            shows where training of that goes on.
+        filmed: those of the latest frame, of a camera that was not there its last one.
+        shown: what the cameras would film of the state.
+    """
+
+    references: Tensor
+    filmed: Tensor
+    shown: Tensor
+
+
+def no_pictures(cameras: tuple[Camera, ...], device: str) -> KnownPictures:
+    """Nothing is known of any of `cameras`."""
+    nothing = torch.full((len(cameras), cameras[0].height, cameras[0].width, 3), torch.nan, device=device)
+    return KnownPictures(nothing, nothing, nothing)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,22 +46,15 @@ class State:
     Attributes:
         scene: the decoder's integer state; field: the same, dequantised.
         canonical: the keyframe's field, for the paper's motion cue.
-        references: [C,H,W,3] pictures that new ones are compared with: what was filmed when a change was last
-            accepted, or what the state shows where training of that goes on; NaN for cameras not seen yet; None after
-            a resume.
-        filmed: [C,H,W,3] pictures of the latest frame, of a camera that was not there its last one; None: the same as
-            `references`.
-        shown: [C,H,W,3] what the cameras would film of the state, NaN where that is not known; None likewise.
+        known: pictures of its cameras.
         trained: [N] bool, the anchors that the latest frame trained.
     """
 
     scene: Scene
     field: Field
     canonical: Field
-    references: Tensor | None
-    shown: Tensor | None
+    known: KnownPictures
     trained: Bool
-    filmed: Tensor | None = None
 
     @property
     def alive(self) -> Tensor:
@@ -98,14 +114,7 @@ class State:
         )
 
 
-def fresh_state(
-    scene: Scene,
-    device: str,
-    references: Tensor | None = None,
-    shown: Tensor | None = None,
-    *,
-    by_distance: bool = False,
-) -> State:
+def fresh_state(scene: Scene, device: str, known: KnownPictures, *, by_distance: bool = False) -> State:
     """The state of a keyframe; `by_distance` as in `Field`."""
     field = replace(field_of(scene).to(device), by_distance=by_distance)
-    return State(scene, field, field, references, shown, np.zeros(len(field), np.bool_))
+    return State(scene, field, field, known, np.zeros(len(field), np.bool_))

@@ -62,7 +62,7 @@ class FrameTraining:
         pixels = steps_a_pixel(seen.base, state.scene.header.position_steps, cameras)
         self._anchors = TrainedAnchors(state, seen.rows, pixels, memory)
         self._hooks, self._all, self._exposure, self._useful = hooks, field, exposure, useful
-        self._shown = state.shown
+        self._shown = state.known.shown
         black = torch.zeros(3, device=device)
         backgrounds = [exposure.behind(black, number) for number in range(len(views.cameras))]
         self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
@@ -143,10 +143,7 @@ class FrameTraining:
 
         NaN for a camera that nobody had time for, and for one of which nothing was known.
         """
-        if self._shown is None:
-            pictures = torch.full_like(self._whole.pictures.views.targets, torch.nan)
-        else:
-            pictures = self._shown.clone()
+        pictures = self._shown.clone()
         pictures[[number for number in self._useful if number not in self._whole.caches]] = torch.nan
         with torch.no_grad():
             for number, cache in self._whole.caches.items():

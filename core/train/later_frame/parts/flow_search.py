@@ -59,7 +59,7 @@ def guessed_positions(state: State, rows: Tensor, pictures: Comparison, least: f
         pictures: in which flow is looked for.
         least: of their pixels that an anchor must go.
     """
-    found = anchor_flow(state.field, rows, pictures.filmed, pictures.views, pictures.masks, least)
+    found = anchor_flow(state.field, rows, pictures.known.filmed, pictures.views, pictures.masks, least)
     going = found.seen.any(dim=0)
     guess = torch.zeros(len(rows), 3, device=rows.device)
     if not going.any():

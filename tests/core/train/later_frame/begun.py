@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -10,11 +11,12 @@ from torch import Tensor
 
 from streamlod.core.arrays import Bool
 from streamlod.core.render.backends import Backend
+from streamlod.core.scene.anchors import Scene
 from streamlod.core.train.field.exposure import neutral
 from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.frame import started
 from streamlod.core.train.later_frame.part import Beginning, FramePart
-from streamlod.core.train.later_frame.state import State
+from streamlod.core.train.later_frame.state import KnownPictures, State, fresh_state
 from streamlod.core.train.later_frame.training import FrameTraining
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.progress import Stopwatch
@@ -22,14 +24,20 @@ from streamlod.core.train.progress import Stopwatch
 PLENTY = 1 << 20
 
 
+def bare_state(scene: Scene) -> State:
+    """The state of a keyframe, without any pictures."""
+    nothing = torch.empty(0)
+    return fresh_state(scene, "cpu", KnownPictures(nothing, nothing, nothing))
+
+
 def beginning_of(
     state: State, trained: Bool, views: Views, masks: Tensor, *, max_new: int = PLENTY, bit_price: float = 0.0
 ) -> Beginning:
-    """What is known before the anchors `trained` [N] are."""
+    """What is known before the anchors `trained` [N] are; of the pictures before, only that they were like these."""
     rows = torch.from_numpy(np.flatnonzero(trained))
     base, count = state.field.with_rows(rows), state.scene.anchor_count
-    references, filmed = (views.targets if seen is None else seen for seen in (state.references, state.filmed))
-    pictures = Comparison(views, masks, references, filmed, state.shown)
+    known = KnownPictures(views.targets, views.targets, torch.full_like(views.targets, torch.nan))
+    state, pictures = replace(state, known=known), Comparison(views, masks, known)
     cell = state.field.octree.motion_cell
     return Beginning(state, rows, base, pictures, pictures, cell, bit_price, PLENTY, count, max_new)
 

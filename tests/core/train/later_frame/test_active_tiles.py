@@ -14,8 +14,9 @@ from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import PredictConfig, Trainer, preset
 from streamlod.core.train.field.convert import scene_of
 from streamlod.core.train.later_frame.active_tiles import mostly_active
-from streamlod.core.train.later_frame.state import State, fresh_state
+from streamlod.core.train.later_frame.state import State
 from tests.core.train.fields import random_field
+from tests.core.train.later_frame.begun import bare_state
 from tests.core.true_points import true_points
 
 WIDTH, HEIGHT = 96, 64
@@ -28,7 +29,7 @@ ROWS = torch.arange(60)
 @pytest.fixture
 def state() -> State:
     """Small anchors, and every tenth as wide as the scene."""
-    small = fresh_state(scene_of(random_field(60), PredictConfig(), (CAMERA,), 30.0, 0), "cpu")
+    small = bare_state(scene_of(random_field(60), PredictConfig(), (CAMERA,), 30.0, 0))
     scaling, offset = small.field.scaling.clone() - 3.0, small.field.offset.clone()
     scaling[::10], offset[::10] = 0.0, 0.0
     network = replace(small.field.network, output_bias=small.field.network.output_bias.clone())
@@ -76,13 +77,11 @@ def test_a_camera_whose_picture_did_not_change_is_not_drawn() -> None:
     trainer = Trainer(clip.cameras, config, clip.fps, "cpu")
     trainer.resume(trainer.keyframe(before, true_points(spec)).scene)
     trainer.predict(before)  # the pictures of the state are known from here on
-    known = trainer._require().shown
-    assert known is not None
+    known = trainer._require().known.shown
     result = trainer.predict(frame)
     assert result.residual is not None
     assert result.residual.changed > 0
-    shown = trainer._require().shown
-    assert shown is not None
+    shown = trainer._require().known.shown
     assert torch.equal(shown[1], known[1])
     for number in (0, 2, 3):
         assert not torch.equal(shown[number], known[number])

@@ -23,13 +23,13 @@ from streamlod.core.train.growth import gradient
 from streamlod.core.train.growth.new_anchors import first_values
 from streamlod.core.train.later_frame.added_anchors import AddedAnchors
 from streamlod.core.train.later_frame.parts import AnchorGrowth
-from streamlod.core.train.later_frame.state import State, fresh_state
+from streamlod.core.train.later_frame.state import State
 from streamlod.core.train.later_frame.training import FrameTraining
 from streamlod.core.train.later_frame.update import IntegerUpdate, residual_of
 from streamlod.core.train.optimise.adam import RowAdam
 from streamlod.core.train.pictures.views import Views
 from tests.core.train.fields import random_field
-from tests.core.train.later_frame.begun import training_of
+from tests.core.train.later_frame.begun import bare_state, training_of
 
 WIDTH, HEIGHT = 96, 64
 CONFIG = PredictConfig(epochs=15, minimum_steps=0, rate_weight=0.0005, position_rate=0.2)
@@ -110,7 +110,7 @@ def scene() -> Scene:
 @pytest.fixture(scope="module")
 def targets(scene: Scene) -> Tensor:
     """[4,H,W,3] the scene, and a striped block before it."""
-    state = fresh_state(scene, "cpu")
+    state = bare_state(scene)
     blank = Views(CAMERAS, torch.zeros(4, HEIGHT, WIDTH, 3), [0, 1, 2, 3])
     shown = rendered(state.field, state.alive, blank, "cpu")
     for number, camera in enumerate(CAMERAS):
@@ -122,7 +122,7 @@ def targets(scene: Scene) -> Tensor:
 
 
 def trained(scene: Scene, targets: Tensor, most_new: int) -> tuple[FrameTraining, IntegerUpdate, State]:
-    state = fresh_state(scene, "cpu")
+    state = bare_state(scene)
     views = Views(CAMERAS, targets, [0, 1, 2, 3])
     some = np.arange(len(state.field)) % 2 == 0
     masks = torch.ones(4, HEIGHT, WIDTH, dtype=torch.bool)
@@ -152,7 +152,7 @@ def test_what_comes_in_is_shown_better_with_them(scene: Scene, targets: Tensor) 
     for most_new in (0, 60):
         _, update, state = trained(scene, targets, most_new)
         rows = np.flatnonzero(np.arange(len(state.field)) % 2 == 0)
-        after = fresh_state(apply(scene, residual_of(scene, rows, update, 1)), "cpu")
+        after = bare_state(apply(scene, residual_of(scene, rows, update, 1)))
         pictures = rendered(after.field, after.alive, Views(CAMERAS, targets, [0, 1, 2, 3]), "cpu")
         errors.append(float((pictures.clamp(0, 1) - targets).square().mean()))
         assert (update.new == 0) == (most_new == 0)
@@ -160,7 +160,7 @@ def test_what_comes_in_is_shown_better_with_them(scene: Scene, targets: Tensor) 
 
 
 def test_without_a_step_nothing_is_added(scene: Scene, targets: Tensor) -> None:
-    state = fresh_state(scene, "cpu")
+    state = bare_state(scene)
     masks = torch.ones(4, HEIGHT, WIDTH, dtype=torch.bool)
     everything = np.ones(len(state.field), np.bool_)
     trainer = training_of(state, everything, Views(CAMERAS, targets, [0, 1, 2, 3]), masks, (GROWING,), max_new=40)

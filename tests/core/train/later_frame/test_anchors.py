@@ -10,8 +10,9 @@ from streamlod.core.camera import pinhole
 from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import scene_of
 from streamlod.core.train.later_frame.anchors import TrainedAnchors
-from streamlod.core.train.later_frame.state import State, fresh_state
+from streamlod.core.train.later_frame.state import State
 from tests.core.train.fields import random_field
+from tests.core.train.later_frame.begun import bare_state
 
 NUMBERS = ("level", "voxel", "extra_level", "position", "feature", "offset", "scaling")  # of a new anchor
 
@@ -19,7 +20,7 @@ NUMBERS = ("level", "voxel", "extra_level", "position", "feature", "offset", "sc
 @pytest.fixture
 def state() -> State:
     camera = pinhole("cam00", (40, 40), (20, 12), (40, 24), np.eye(4))
-    return fresh_state(scene_of(random_field(30), PredictConfig(), (camera,), 30.0, 0), "cpu")
+    return bare_state(scene_of(random_field(30), PredictConfig(), (camera,), 30.0, 0))
 
 
 @pytest.fixture

@@ -10,10 +10,9 @@ import torch
 from streamlod.core.camera import look_at, pinhole
 from streamlod.core.train import PredictConfig
 from streamlod.core.train.field.rendered import rendered
-from streamlod.core.train.later_frame.state import fresh_state
 from streamlod.core.train.pictures.views import Views
 from tests.client.web.scenes import make_scene
-from tests.core.train.later_frame.begun import training_of
+from tests.core.train.later_frame.begun import bare_state, training_of
 
 CONFIG = PredictConfig(epochs=20, minimum_steps=0, rate_weight=0.0)
 POSE = look_at(np.array([0.0, -0.9, -3.2]), np.zeros(3), np.array([0.0, -1.0, 0.0]))
@@ -23,7 +22,7 @@ CAMERAS = tuple(pinhole(name, (64.0, 64.0), (32.0, 24.0), (64, 48), POSE) for na
 
 def errors(changed_weight: float) -> list[float]:
     """Mean absolute error of each camera, where anchors are, after a frame that changed the first one's pixels only."""
-    state = fresh_state(make_scene(400, view_dependent=False), "cpu")
+    state = bare_state(make_scene(400, view_dependent=False))
     views = Views(CAMERAS, torch.zeros(2, 48, 64, 3), [0, 1])
     filmed = rendered(state.field, state.alive, views, "cpu")
     views = replace(views, targets=torch.stack([(filmed[0] + 0.15).clamp(max=1), (filmed[1] - 0.15).clamp(min=0)]))

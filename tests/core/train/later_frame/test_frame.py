@@ -16,10 +16,9 @@ from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import TrainConfig, Trainer, preset
 from streamlod.core.train.later_frame.frame import started
 from streamlod.core.train.later_frame.part import Beginning, FramePart, Hooks, Training
-from streamlod.core.train.later_frame.state import fresh_state
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.progress import Stopwatch
-from tests.core.train.later_frame.begun import beginning_of
+from tests.core.train.later_frame.begun import bare_state, beginning_of
 from tests.core.true_points import true_points
 
 SPEC = SyntheticSpec(cameras=3, frames=4, width=96, height=56, seed=1)
@@ -102,7 +101,7 @@ def test_a_costly_part_is_left_out_where_there_is_no_time(first: Scene) -> None:
         return False
 
     costly = [part for part in preset("live").parts if isinstance(part, FramePart) and part.is_costly]
-    state = fresh_state(first, "cpu")
+    state = bare_state(first)
     blank = Views(CLIP.cameras, torch.zeros(3, 56, 96, 3), [0, 1, 2])
     trained = np.arange(len(state.field)) < 5
     seen = beginning_of(state, trained, blank, torch.ones(3, 56, 96, dtype=torch.bool))

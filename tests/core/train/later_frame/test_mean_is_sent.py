@@ -10,11 +10,10 @@ from torch import Tensor
 from streamlod.core.camera import pinhole
 from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import scene_of
-from streamlod.core.train.later_frame.state import fresh_state
 from streamlod.core.train.optimise.adam import RowAdam
 from streamlod.core.train.pictures.views import Views
 from tests.core.train.fields import random_field
-from tests.core.train.later_frame.begun import training_of
+from tests.core.train.later_frame.begun import bare_state, training_of
 
 WIDTH, HEIGHT = 40, 24
 
@@ -37,7 +36,7 @@ def test_the_mean_of_the_last_steps_is_sent(average_from: float, last: int, monk
     pose = np.eye(4)
     pose[2, 3] = 3.0
     camera = pinhole("cam00", (WIDTH, WIDTH), (WIDTH / 2, HEIGHT / 2), (WIDTH, HEIGHT), pose)
-    state = fresh_state(scene_of(random_field(60), config, (camera,), 30.0, 0), "cpu")
+    state = bare_state(scene_of(random_field(60), config, (camera,), 30.0, 0))
     views = Views((camera,), torch.rand(1, HEIGHT, WIDTH, 3, generator=torch.Generator().manual_seed(0)), [0])
     masks = torch.ones(1, HEIGHT, WIDTH, dtype=torch.bool)
     everything = np.ones(len(state.field), np.bool_)

@@ -15,9 +15,10 @@ from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.rendered import rendered
 from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.planned import PlannedViews
-from streamlod.core.train.later_frame.state import State, fresh_state
+from streamlod.core.train.later_frame.state import KnownPictures, State
 from streamlod.core.train.pictures.views import Views
 from tests.core.train.fields import random_field
+from tests.core.train.later_frame.begun import bare_state
 
 WIDTH, HEIGHT = 8 * TILE_WIDTH, 6 * TILE_HEIGHT
 POSE = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]])
@@ -27,7 +28,7 @@ CENTRE = torch.from_numpy(CAMERA.centre).float()
 
 @pytest.fixture
 def state() -> State:
-    return fresh_state(scene_of(random_field(200), PredictConfig(), (CAMERA,), 30.0, 0), "cpu")
+    return bare_state(scene_of(random_field(200), PredictConfig(), (CAMERA,), 30.0, 0))
 
 
 def planned(state: State, targets: Tensor, shown: Tensor | None) -> tuple[PlannedViews, Splats]:
@@ -36,7 +37,8 @@ def planned(state: State, targets: Tensor, shown: Tensor | None) -> tuple[Planne
     masks[0, 11, 21] = True
     trained = torch.arange(len(state.field)) % 2 == 0
     moving, still = (state.field.decode(CENTRE, torch.nonzero(rows)[:, 0]).detached() for rows in (trained, ~trained))
-    pictures = Comparison(Views((CAMERA,), targets, [0]), masks, targets, targets, shown)
+    known = KnownPictures(targets, targets, torch.full_like(targets, torch.nan) if shown is None else shown)
+    pictures = Comparison(Views((CAMERA,), targets, [0]), masks, known)
     return PlannedViews(pictures.halved(), [still], [torch.zeros(3)], "cpu"), moving
 
 
@@ -50,8 +52,7 @@ def test_half_the_size_is_half_of_everything(state: State) -> None:
     assert half.views.targets.shape == (1, HEIGHT // 2, WIDTH // 2, 3)
     assert (half.views.cameras[0].width, half.views.cameras[0].height) == (WIDTH // 2, HEIGHT // 2)
     assert half.masks.nonzero().tolist() == [[0, 5, 10]]
-    assert half.shown is not None
-    torch.testing.assert_close(half.shown[0, 5, 10], shown[0, 10:12, 20:22].mean(dim=(0, 1)))
+    torch.testing.assert_close(half.known.shown[0, 5, 10], shown[0, 10:12, 20:22].mean(dim=(0, 1)))
 
 
 def test_what_has_not_changed_asks_for_nothing(state: State) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from torch import Tensor
 
 from streamlod.core.camera import look_at, pinhole
 from streamlod.core.train.later_frame.references import as_filmed, renewed_references, stagnant
-from streamlod.core.train.later_frame.state import State, fresh_state
+from streamlod.core.train.later_frame.state import KnownPictures, State, fresh_state
 from streamlod.core.train.pictures.views import Views
 from tests.client.web.scenes import make_scene
 
@@ -56,16 +55,20 @@ MASK = torch.zeros(2, 20, 30, dtype=torch.bool)
 MASK[:, :, 10:] = True
 
 
-def state(before: Tensor | None) -> State:
-    """One that shows `before` and was compared with 0.1."""
-    return fresh_state(make_scene(20), "cpu", torch.full_like(TARGET, 0.1), before)
+NOTHING = torch.full_like(TARGET, torch.nan)
 
 
-def renewed(before: Tensor | None, now: Tensor, *, done: bool = True) -> tuple[Tensor, Tensor]:
+def state(before: Tensor) -> State:
+    """One that shows `before`, was compared with 0.1 and filmed 0.2."""
+    known = KnownPictures(torch.full_like(TARGET, 0.1), torch.full_like(TARGET, 0.2), before)
+    return fresh_state(make_scene(20), "cpu", known)
+
+
+def renewed(before: Tensor, now: Tensor, *, done: bool = True) -> tuple[Tensor, Tensor]:
     after = renewed_references(state(before), state(before), VIEWS, MASK, now, done=done)
-    assert after.references is not None
-    assert (after.references[~MASK] == 0.1).all()
-    return after.references[0, 10, 25], after.references[0, 10, 11]
+    references = after.known.references
+    assert (references[~MASK] == 0.1).all()
+    return references[0, 10, 25], references[0, 10, 11]
 
 
 def test_the_reference_is_what_is_shown_while_training_gets_on_and_then_what_was_filmed() -> None:
@@ -79,23 +82,18 @@ def test_brighter_than_white_is_no_progress() -> None:
 
 
 def test_a_change_that_no_anchor_shows_ends() -> None:
-    nothing = torch.full_like(TARGET, torch.nan)
-    assert renewed(nothing, nothing)[0][1] == 0.5
-    assert renewed(None, nothing)[0][1] == 0.5
+    assert renewed(NOTHING, NOTHING)[0][1] == 0.5
 
 
 def test_where_training_was_cut_short_a_little_is_enough_to_go_on() -> None:
     for now, green in ((0.2, 0.7), (0.29, 0.79), (0.3, 0.5)):
         right, _ = renewed(shown(0.3), shown(now), done=False)
         torch.testing.assert_close(right, torch.tensor([0.5, green, 0.5]))
-    unseen = torch.full_like(TARGET, torch.nan)
-    assert renewed(shown(0.3), unseen, done=False)[0][1] == 0.1  # nobody had time for this camera
+    assert renewed(shown(0.3), NOTHING, done=False)[0][1] == 0.1  # nobody had time for this camera
 
 
 def test_a_camera_that_joins_is_compared_with_what_it_films() -> None:
-    begun = replace(state(None), filmed=torch.full_like(TARGET, 0.2))
-    after = as_filmed(begun, VIEWS, [1])
+    after = as_filmed(state(NOTHING), VIEWS, [1]).known
     for pictures in (after.references, after.filmed):
-        assert pictures is not None
         assert (pictures[1] == 0.5).all()
         assert (pictures[0] < 0.3).all()

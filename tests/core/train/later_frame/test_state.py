@@ -12,15 +12,15 @@ from streamlod.core.scene.residual import apply
 from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import level_starts, scene_of
 from streamlod.core.train.growth.new_anchors import added_levels
-from streamlod.core.train.later_frame.state import fresh_state
 from streamlod.core.train.later_frame.update import no_update, residual_of
 from tests.core.train.fields import random_field
+from tests.core.train.later_frame.begun import bare_state
 
 
 def test_added_anchors_count_as_trained_and_move_the_rows_of_others() -> None:
     camera = pinhole("cam00", (40.0, 40.0), (20.0, 12.0), (40, 24), np.eye(4))
     scene = scene_of(random_field(30), PredictConfig(), (camera,), 30.0, 0)
-    state = fresh_state(scene, "cpu")
+    state = bare_state(scene)
     rows = torch.tensor([2, 12, 25])  # one of each level
     assert np.searchsorted(level_starts(scene), rows.numpy(), side="right").tolist() == [1, 2, 3]
     new = state.field.with_rows(torch.tensor([0, 15]))

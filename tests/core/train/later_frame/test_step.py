@@ -22,12 +22,12 @@ import streamlod.core.render.cuda
 from streamlod.core.camera import pinhole
 from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import scene_of
-from streamlod.core.train.later_frame.state import State, fresh_state
+from streamlod.core.train.later_frame.state import State
 from streamlod.core.train.later_frame.training import FrameTraining
 from streamlod.core.train.optimise.schedule import ViewOrder
 from streamlod.core.train.pictures.views import Views
 from tests.core.train.fields import random_field
-from tests.core.train.later_frame.begun import training_of
+from tests.core.train.later_frame.begun import bare_state, training_of
 
 WIDTH, HEIGHT = 40, 24
 
@@ -90,7 +90,7 @@ def prepared(view_dependent: bool) -> FrameTraining:
     pose[2, 3] = 3.0
     camera = pinhole("cam00", (WIDTH, WIDTH), (WIDTH / 2, HEIGHT / 2), (WIDTH, HEIGHT), pose)
     field = random_field(60, view_dependent=view_dependent)
-    state: State = fresh_state(scene_of(field, PredictConfig(), (camera,), 30.0, 0), "cpu")
+    state: State = bare_state(scene_of(field, PredictConfig(), (camera,), 30.0, 0))
     some = np.arange(len(field)) % 3 == 0
     views = Views((camera,), torch.rand(1, HEIGHT, WIDTH, 3), [0])
     masks = torch.ones(1, HEIGHT, WIDTH, dtype=torch.bool)

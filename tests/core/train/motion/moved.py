@@ -14,7 +14,7 @@ from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import scene_of
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.field.rounding import usual_precision
-from streamlod.core.train.later_frame.state import State, fresh_state
+from streamlod.core.train.later_frame.state import KnownPictures, State, fresh_state, no_pictures
 from streamlod.core.train.pictures.views import Views
 from tests.core.train.fields import random_field
 
@@ -44,12 +44,16 @@ def moved_state(shift: tuple[float, float, float] = (0.12, 0.0, 0.06)) -> Moved:
     right = field.position[:, 0] > field.position[:, 0].median()
     field = replace(field, position=field.position + right[:, None] * torch.tensor([0.8, 0.0, 0.0]))
     scene = scene_of(field, PredictConfig(), RIG, 30.0, 0, usual_precision(field))
-    state = fresh_state(scene, "cpu")
+    state = fresh_state(scene, "cpu", no_pictures(RIG, "cpu"))
     gap = field.position[right, 0].min() - 0.4  # rows of a scene are in another order
     motion = (state.field.position[:, :1] > gap) * torch.tensor(shift)
     after = replace(state.field, position=state.field.position + motion)
     filmed, now = (torch.stack([picture(one, camera) for camera in RIG]) for one in (state.field, after))
-    return Moved(replace(state, references=filmed, filmed=filmed), motion, Views(RIG, now, list(range(len(RIG)))))
+    return Moved(
+        replace(state, known=KnownPictures(filmed, filmed, state.known.shown)),
+        motion,
+        Views(RIG, now, list(range(len(RIG)))),
+    )
 
 
 def picture(field: Field, camera: Camera) -> Tensor:

@@ -34,8 +34,7 @@ def test_a_picture_that_is_too_small_for_the_method_flows_nowhere() -> None:
 
 def flow_of(moved: Moved, masks: torch.Tensor) -> AnchorFlow:
     rows = torch.arange(len(moved.motion))
-    assert moved.state.filmed is not None
-    return anchor_flow(moved.state.field, rows, moved.state.filmed, moved.views, masks, LEAST)
+    return anchor_flow(moved.state.field, rows, moved.state.known.filmed, moved.views, masks, LEAST)
 
 
 def everywhere(moved: Moved) -> torch.Tensor:
@@ -70,9 +69,8 @@ def test_what_lies_outside_a_picture_or_behind_a_camera_does_not_flow() -> None:
     field = moved.state.field
     behind = 2 * torch.from_numpy(RIG[0].centre).float() - field.position
     wild = replace(field, position=torch.where(moved.moving[:, None], behind, torch.tensor(1e30)))
-    assert moved.state.filmed is not None
     rows = torch.arange(len(moved.motion))
-    found = anchor_flow(wild, rows, moved.state.filmed, moved.views, everywhere(moved), LEAST)
+    found = anchor_flow(wild, rows, moved.state.known.filmed, moved.views, everywhere(moved), LEAST)
     assert not found.seen[0].any()
     assert not found.flow[0].any()
 

@@ -34,9 +34,9 @@ def step(moved: Moved) -> Tensor:
 
 
 def guess_of(moved: Moved) -> Tensor:
-    masks = (moved.views.targets - moved.state.filmed).abs().amax(dim=3) > 0.02
+    masks = (moved.views.targets - moved.state.known.filmed).abs().amax(dim=3) > 0.02
     rows = torch.arange(len(moved.motion))
-    pictures = Comparison(moved.views, masks, moved.state.filmed, moved.state.filmed, None)
+    pictures = Comparison(moved.views, masks, moved.state.known)
     return guessed_positions(moved.state, rows, pictures, 0.5)
 
 
