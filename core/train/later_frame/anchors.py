@@ -65,8 +65,9 @@ class TrainedAnchors:
         """[] that the residuals of all n would take; `moves` as above."""
         return residual_bits(self.optimiser.parameters["latent"], moves)
 
+    @torch.no_grad()
     def by_residuals(self) -> Field:
-        """All n with their residuals."""
+        """All n as they are now, without gradients."""
         return applied(self.base, self.optimiser.parameters["latent"], self.moves, self._unit)
 
     def field(self, moves: Tensor | None = None) -> Field:

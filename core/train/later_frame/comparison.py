@@ -1,4 +1,4 @@
-"""The pictures of one instant beside those before it, at full or at half size.
+"""The pictures of one instant beside those before it, at full or at half size, and what training begins with.
 
 Where things are and what changed is found in pictures of half the size where they are large: a quarter of the work, and
 what went far is nearer.
@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from streamlod.core.train.later_frame.state import KnownPictures
+from streamlod.core.train.config import TrainConfig
+from streamlod.core.train.later_frame.state import KnownPictures, State
 from streamlod.core.train.pictures.views import Views, halved_pictures
 
 _HALVED_FROM = 300  # rows of a picture; of smaller ones too little is left
@@ -50,3 +51,23 @@ class Comparison:
         """[C] squared difference of changed pixels from the references, summed over pixels, mean over channels."""
         squared = (self.views.targets - self.known.references).nan_to_num().square().mean(dim=3)
         return torch.sum(squared * self.masks, dim=(1, 2))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beginning:
+    """What is known when the training of a later frame begins.
+
+    Attributes:
+        state: before the frame. rows: [n] numbers of its anchors that are trained.
+        pictures: of the instant. coarse: the same, at half the size where they are large.
+        config: of the stream, whatever rate control makes of it.
+        first_count: anchors that the first frame had; max_new: that this frame may add.
+    """
+
+    state: State
+    rows: Tensor
+    pictures: Comparison
+    coarse: Comparison
+    config: TrainConfig
+    first_count: int
+    max_new: int

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from streamlod.core.arrays import Bool
 from streamlod.core.render.backends import Backend
@@ -19,14 +18,13 @@ from streamlod.core.scene.residual import Residual, apply
 from streamlod.core.train.config import PartSettings, PredictConfig, TrainConfig
 from streamlod.core.train.control.frame_budget import FrameProgress
 from streamlod.core.train.control.rate_control import RatePlan
-from streamlod.core.train.field.convert import motion_cell_of
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.later_frame.active_tiles import BORDER, mostly_active
-from streamlod.core.train.later_frame.comparison import Comparison
-from streamlod.core.train.later_frame.part import Beginning, FramePart, Hooks
+from streamlod.core.train.later_frame.comparison import Beginning, Comparison
+from streamlod.core.train.later_frame.part import FramePart
 from streamlod.core.train.later_frame.references import renewed_references
 from streamlod.core.train.later_frame.state import State
-from streamlod.core.train.later_frame.training import FrameTraining
+from streamlod.core.train.later_frame.training import FrameTraining, Hooks
 from streamlod.core.train.later_frame.update import IntegerUpdate, no_update, residual_of, strongest_changes
 from streamlod.core.train.motion.cues import cue_of
 from streamlod.core.train.motion.masks import change_masks
@@ -84,7 +82,8 @@ def train_later_frame(state: State, views: Views, index: int, means: Means) -> L
     rows = torch.from_numpy(np.flatnonzero(dynamic)).to(state.field.feature.device)
     update, training = no_update(0), None
     if len(rows):
-        seen = _beginning(state, rows, pictures, coarse, means)
+        most_new = _MAX_NEW if plan is None else plan.most_new
+        seen = Beginning(state, rows, pictures, coarse, means.config, means.first_count, most_new)
         hooks = started(means.config.parts, seen, means.allows, watch)
         with watch.stage("train"):
             useful = _useful(coarse, config)
@@ -138,22 +137,6 @@ def _worth_training(state: State, dynamic: Bool, pictures: Comparison, means: Me
     rows, chosen = np.flatnonzero(dynamic), np.zeros_like(dynamic)
     chosen[rows] = mostly_active(state.field, torch.from_numpy(rows), views.cameras, active)
     return chosen
-
-
-def _beginning(state: State, rows: Tensor, pictures: Comparison, coarse: Comparison, means: Means) -> Beginning:
-    config = means.config
-    return Beginning(
-        state=state,
-        rows=rows,
-        base=state.field.with_rows(rows),
-        pictures=pictures,
-        coarse=coarse,
-        motion_cell=motion_cell_of(state.scene, config.predict),
-        bit_price=config.predict.rate_weight,
-        max_anchors=config.model.max_anchors,
-        first_count=means.first_count,
-        max_new=_MAX_NEW if means.plan is None else means.plan.most_new,
-    )
 
 
 def started(

@@ -22,7 +22,7 @@ from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.later_frame.anchors import TrainedAnchors
-from streamlod.core.train.later_frame.part import Beginning, Hooks
+from streamlod.core.train.later_frame.comparison import Beginning
 from streamlod.core.train.later_frame.pixel_steps import steps_a_pixel
 from streamlod.core.train.later_frame.planned import PlannedViews
 from streamlod.core.train.later_frame.steps import steps_of
@@ -34,8 +34,22 @@ _PREPARATION = 0.3  # of a frame's training time, after which no more is planned
 _TRANSPARENT = 1 / 255  # opacity below which nothing is drawn
 
 
+class Hooks:
+    """What a part does during one frame; every hook does nothing unless a part overrides it."""
+
+    def ready(self, training: FrameTraining) -> None:
+        """The pictures are planned, and no step has been taken."""
+
+    def stepped(self, training: FrameTraining, number: int, raster: Raster, progress: float) -> None:
+        """A step on camera `number` was taken, `progress` of the frame (0 to 1) is done."""
+
+
 class FrameTraining:
-    """Fits the residuals of some anchors to one instant; what hooks may do with it is `core.train.later_frame.part`.
+    """Fits the residuals of some anchors to one instant.
+
+    Attributes:
+        anchors: in training.
+        numbers: cameras whose pictures show any of them.
 
     Args:
         seen: the state before, the anchors to train, and the pictures.
@@ -59,8 +73,8 @@ class FrameTraining:
         field, device = state.field, state.field.feature.device
         others = state.alive.index_fill(0, seen.rows, False)
         cameras = [views.cameras[number] for number in views.usable]
-        pixels = steps_a_pixel(seen.base, state.scene.header.position_steps, cameras)
-        self._anchors = TrainedAnchors(state, seen.rows, pixels, memory)
+        pixels = steps_a_pixel(field.with_rows(seen.rows), state.scene.header.position_steps, cameras)
+        self.anchors = TrainedAnchors(state, seen.rows, pixels, memory)
         self._hooks, self._all, self._exposure, self._useful = hooks, field, exposure, useful
         self._shown = state.known.shown
         black = torch.zeros(3, device=device)
@@ -89,7 +103,7 @@ class FrameTraining:
         pace = progress_of(total)
         self._prepare(pace)
         if not self.numbers:
-            return no_update(len(self._anchors))
+            return no_update(len(self.anchors))
         if pace.progress(0) <= _PREPARATION:
             for hooks in self._hooks:
                 hooks.ready(self)
@@ -101,42 +115,32 @@ class FrameTraining:
             loss, raster = self._step(number, config, config.final_rate**progress)
             losses.append(loss)
             if progress >= config.average_from:
-                self._anchors.average()
+                self.anchors.average()
             if self._half is None:
                 for hooks in self._hooks:
                     hooks.stepped(self, number, raster, progress)
         if not losses:  # a guess of where things go that no picture has confirmed is not sent
-            return replace(no_update(len(self._anchors)), complete=False)
-        self._anchors.settle()
+            return replace(no_update(len(self.anchors)), complete=False)
+        self.anchors.settle()
         last = float(torch.stack(losses[-len(self.numbers) :]).mean())
-        update = self._anchors.update(self._visible(), len(losses), last)
+        update = self.anchors.update(self._visible(), len(losses), last)
         return replace(update, complete=len(losses) >= total and len(self._whole.caches) == len(self._useful))
 
-    def begin_at(self, position: Tensor) -> None:
-        """As `Training.begin_at`."""
-        self._anchors.begin_at(position)
-
     def splats_at(self, number: int, position: Tensor) -> Splats:
-        """As `Training.splats_at`."""
-        return self._filmed(self._anchors.starting_at(position), number)
+        """The Gaussians of the anchors for a camera, if these had gone `position` [n,3] steps."""
+        return self._filmed(self.anchors.starting_at(position), number)
 
     def draw_two(self, number: int, first: Splats, second: Splats) -> tuple[Tensor, Tensor]:
-        """As `Training.draw_two`."""
+        """[h,w,3] what a camera films of Gaussians in two places, before all that is not trained.
+
+        They need to be right only where they differ: elsewhere, neither may be drawn.
+        """
         one, other = self._planned(number).caches[number].render_two(first, second)
         return one.image, other.image
 
     def target(self, number: int) -> Tensor:
-        """As `Training.target`."""
+        """[h,w,3] what a camera should film, of the size of `draw_two`."""
         return self._planned(number).pictures.views.targets[number]
-
-    @torch.no_grad()
-    def changed(self) -> Field:
-        """As `Training.changed`."""
-        return self._anchors.by_residuals()
-
-    def add(self, new: dict[str, Tensor]) -> None:
-        """As `Training.add`."""
-        self._anchors.add(new)
 
     def show(self, field: Field, rows: Tensor) -> Tensor:
         """[C,H,W,3] what the cameras film once `field` has taken over at `rows`; as before where nothing changed.
@@ -167,30 +171,30 @@ class FrameTraining:
         if number not in self._half.caches:
             with torch.no_grad():
                 self._half.plan(number, self._splats(number))
-            self._half.allow_for_size(number, self._filmed(self._anchors.base, number))
+            self._half.allow_for_size(number, self._filmed(self.anchors.base, number))
         return self._half
 
     def _step(self, number: int, config: PredictConfig, decay: float) -> tuple[Tensor, Raster]:
         """One view, one update; returns the detached loss, and what was drawn."""
-        planned, moves = self._planned(number), self._anchors.moves
+        planned, moves = self._planned(number), self.anchors.moves
         splats, cache = self._splats(number, moves), planned.caches[number]
         raster = cache.render(splats)
         image, prices = raster.image, list[Tensor]()
         if config.rate_weight:
             prices.append(
-                config.rate_weight * self._anchors.bits(moves) / self._whole.pictures.views.targets[number].numel()
+                config.rate_weight * self.anchors.bits(moves) / self._whole.pictures.views.targets[number].numel()
             )
         weights = planned.pixel_weights(number, config.changed_weight)
         loss = total_loss(
             image, planned.pictures.views.targets[number], config.dssim_weight, prices, cache.region, weights
         )
         loss.backward()  # type: ignore[no-untyped-call]
-        self._anchors.step(config, decay)
+        self.anchors.step(config, decay)
         return loss.detach(), raster
 
     def _splats(self, number: int, moves: Tensor | None = None) -> Splats:
         """The Gaussians of the anchors in training, as they will be sent, for a camera."""
-        return self._filmed(self._anchors.field(moves), number)
+        return self._filmed(self.anchors.field(moves), number)
 
     def _filmed(self, field: Field, number: int) -> Splats:
         return self._exposure.before(field.decode(self._centres[number]), number)
@@ -198,7 +202,7 @@ class FrameTraining:
     @torch.no_grad()
     def _visible(self) -> Bool:
         """For each anchor as it will be sent, whether any camera may see it."""
-        field = self._anchors.field()
+        field = self.anchors.field()
         if not self._all.looks_the_same:  # what is transparent to one camera may not be so to another
             return np.ones(len(field), np.bool_)
         opacity = (

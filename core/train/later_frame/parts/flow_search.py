@@ -14,9 +14,10 @@ import torch
 from torch import Tensor
 
 from streamlod.core.train.field.decode import Splats
-from streamlod.core.train.later_frame.comparison import Comparison
-from streamlod.core.train.later_frame.part import Beginning, FramePart, Hooks, Training
+from streamlod.core.train.later_frame.comparison import Beginning, Comparison
+from streamlod.core.train.later_frame.part import FramePart
 from streamlod.core.train.later_frame.state import State
+from streamlod.core.train.later_frame.training import FrameTraining, Hooks
 from streamlod.core.train.motion.optical_flow import anchor_flow
 from streamlod.core.train.motion.scene_flow import flow_error, scene_flow
 from streamlod.core.train.setting import left_out, setting
@@ -48,8 +49,8 @@ class FlowSearch(FramePart):
 class _Searching(Hooks):
     guess: Tensor
 
-    def ready(self, training: Training) -> None:
-        training.begin_at(better_starts(self.guess, training))
+    def ready(self, training: FrameTraining) -> None:
+        training.anchors.begin_at(better_starts(self.guess, training))
 
 
 def guessed_positions(state: State, rows: Tensor, pictures: Comparison, least: float) -> Tensor:
@@ -75,7 +76,7 @@ def guessed_positions(state: State, rows: Tensor, pictures: Comparison, least: f
     return guess
 
 
-def better_starts(guess: Tensor, training: Training) -> Tensor:
+def better_starts(guess: Tensor, training: FrameTraining) -> Tensor:
     """[n,3] of rest and `guess` [n,3], for each anchor the start that shows more of what was filmed."""
     rest, differs = torch.zeros_like(guess), guess.any(dim=1)
     if not differs.any():

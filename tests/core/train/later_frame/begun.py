@@ -12,10 +12,11 @@ from torch import Tensor
 from streamlod.core.arrays import Bool
 from streamlod.core.render.backends import Backend
 from streamlod.core.scene.anchors import Scene
+from streamlod.core.train.config import ModelConfig, PredictConfig, TrainConfig
 from streamlod.core.train.field.exposure import neutral
-from streamlod.core.train.later_frame.comparison import Comparison
+from streamlod.core.train.later_frame.comparison import Beginning, Comparison
 from streamlod.core.train.later_frame.frame import started
-from streamlod.core.train.later_frame.part import Beginning, FramePart
+from streamlod.core.train.later_frame.part import FramePart
 from streamlod.core.train.later_frame.state import KnownPictures, State, fresh_state
 from streamlod.core.train.later_frame.training import FrameTraining
 from streamlod.core.train.pictures.views import Views
@@ -35,11 +36,10 @@ def beginning_of(
 ) -> Beginning:
     """What is known before the anchors `trained` [N] are; of the pictures before, only that they were like these."""
     rows = torch.from_numpy(np.flatnonzero(trained))
-    base, count = state.field.with_rows(rows), state.scene.anchor_count
+    config = TrainConfig(ModelConfig(max_anchors=PLENTY), predict=PredictConfig(rate_weight=bit_price))
     known = KnownPictures(views.targets, views.targets, torch.full_like(views.targets, torch.nan))
     state, pictures = replace(state, known=known), Comparison(views, masks, known)
-    cell = state.field.octree.motion_cell
-    return Beginning(state, rows, base, pictures, pictures, cell, bit_price, PLENTY, count, max_new)
+    return Beginning(state, rows, pictures, pictures, config, state.scene.anchor_count, max_new)
 
 
 def training_of(

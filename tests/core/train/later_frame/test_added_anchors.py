@@ -140,7 +140,7 @@ def test_what_is_decoded_is_what_was_trained(scene: Scene, targets: Tensor) -> N
     starts = level_starts(after)
     sizes = [len(level) for level in scene.levels]
     new = torch.cat([torch.arange(starts[i] + size, starts[i + 1]) for i, size in enumerate(sizes)])
-    wanted = trainer._anchors.field().with_rows(torch.arange(len(rows), len(rows) + update.new))
+    wanted = trainer.anchors.field().with_rows(torch.arange(len(rows), len(rows) + update.new))
     order = torch.argsort(wanted.level, stable=True)
     for name in ("feature", "offset", "scaling", "position"):
         one, other = (getattr(field, name).detach() for field in (decoded.with_rows(new), wanted.with_rows(order)))

@@ -30,7 +30,7 @@ def errors(changed_weight: float) -> list[float]:
     everything = np.ones(len(state.field), np.bool_)
     trainer = training_of(state, everything, views, masks)
     trainer.run(replace(CONFIG, changed_weight=changed_weight), torch.Generator().manual_seed(0))
-    shown = trainer.show(trainer._anchors.field(), torch.arange(len(state.field)))
+    shown = trainer.show(trainer.anchors.field(), torch.arange(len(state.field)))
     there = filmed[0].amax(dim=2) > 0.3
     return [float((one - other)[there].abs().mean()) for one, other in zip(shown, views.targets, strict=True)]
 

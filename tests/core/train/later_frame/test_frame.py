@@ -14,8 +14,10 @@ from streamlod.core.render.raster import Raster
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import TrainConfig, Trainer, preset
+from streamlod.core.train.later_frame.comparison import Beginning
 from streamlod.core.train.later_frame.frame import started
-from streamlod.core.train.later_frame.part import Beginning, FramePart, Hooks, Training
+from streamlod.core.train.later_frame.part import FramePart
+from streamlod.core.train.later_frame.training import FrameTraining, Hooks
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.progress import Stopwatch
 from tests.core.train.later_frame.begun import bare_state, beginning_of
@@ -42,11 +44,11 @@ class Witness(FramePart):
 class _Witnessing(Hooks):
     ran: list[str]
 
-    def ready(self, training: Training) -> None:
+    def ready(self, training: FrameTraining) -> None:
         self.ran.append("ready")
         assert training.numbers
 
-    def stepped(self, training: Training, number: int, raster: Raster, progress: float) -> None:
+    def stepped(self, training: FrameTraining, number: int, raster: Raster, progress: float) -> None:
         self.ran.append("step")
         assert number in training.numbers
 

@@ -41,10 +41,10 @@ def test_the_mean_of_the_last_steps_is_sent(average_from: float, last: int, monk
     masks = torch.ones(1, HEIGHT, WIDTH, dtype=torch.bool)
     everything = np.ones(len(state.field), np.bool_)
     trainer = training_of(state, everything, views, masks)
-    latents = _after_each_step(trainer._anchors.optimiser, monkeypatch)
+    latents = _after_each_step(trainer.anchors.optimiser, monkeypatch)
     update = trainer.run(config, torch.Generator().manual_seed(0))
     assert update.steps == len(latents) == 8
     assert not torch.equal(latents[-1], latents[-2])
     mean = torch.stack(latents[-last:]).mean(dim=0).numpy()
-    settled = trainer._anchors.optimiser.parameters["latent"].detach().numpy()
+    settled = trainer.anchors.optimiser.parameters["latent"].detach().numpy()
     np.testing.assert_allclose(settled, mean, atol=1e-4)

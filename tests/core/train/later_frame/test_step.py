@@ -77,11 +77,11 @@ def test_a_step_asks_the_device_for_nothing(monkeypatch: pytest.MonkeyPatch, vie
     trainer = on_meta(prepared(view_dependent))
     assert isinstance(trainer, FrameTraining)
     trainer._step(0, config, 1.0)  # constants of the camera and of the tables are sent once
-    before = trainer._anchors.optimiser.parameters["latent"]
+    before = trainer.anchors.optimiser.parameters["latent"]
     with NoNumbers(), NoMemory():
         loss, _ = trainer._step(0, config, 0.9)
     assert loss.device.type == "meta"
-    assert trainer._anchors.optimiser.parameters["latent"] is before
+    assert trainer.anchors.optimiser.parameters["latent"] is before
 
 
 def prepared(view_dependent: bool) -> FrameTraining:
