@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from streamlod.core.arrays import Float64, Int64, nearest_of
 from streamlod.core.calibration.track import MIN_CORNERS, Track
@@ -59,6 +60,25 @@ def apart(tracks: Sequence[Track], offsets: Float64, inside: set[int], usable: i
         f"saw the board together with {names[1]} {often}, and {MIN_SHARED} are needed; "
         + (cause or "hold the board where both see it, or film all cameras in one walk"),
     )
+
+
+def in_turn(tracks: Sequence[Track], board: Float64) -> InputError | None:
+    """The error for cameras that saw the board in turn, never together, by their own clocks; None if none did.
+
+    Paths of a board that no two cameras saw together may still lie alike at some wrong offset of the clocks.
+
+    Args:
+        board: [J,3] corners in metres.
+    """
+    offsets = np.zeros(len(tracks))
+    joined = np.eye(len(tracks), dtype=bool)
+    for a, b in combinations(range(len(tracks)), 2):
+        joined[a, b] = joined[b, a] = _meetings(tracks, offsets, a, b).seen >= MIN_SHARED
+    count, groups = connected_components(joined)
+    if count == 1:
+        return None
+    largest = int(np.bincount(groups).argmax())
+    return apart(tracks, offsets, set(np.flatnonzero(groups == largest).tolist()), 0, board)
 
 
 def _meetings(tracks: Sequence[Track], offsets: Float64, a: int, b: int) -> _Meetings:

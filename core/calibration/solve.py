@@ -13,6 +13,7 @@ from streamlod.core.calibration.adjustment.adjust import Adjusted, AdjustedRig, 
 from streamlod.core.calibration.adjustment.observations import Observations, observed
 from streamlod.core.calibration.adjustment.projection import matrix_of
 from streamlod.core.calibration.adjustment.timing import UnevenTimes, uneven_times
+from streamlod.core.calibration.apart import in_turn
 from streamlod.core.calibration.board.description import Board
 from streamlod.core.calibration.first_lens import first_lens
 from streamlod.core.calibration.graph import first_poses
@@ -25,6 +26,7 @@ from streamlod.core.calibration.trust import check_agreement, check_certainty, c
 from streamlod.core.calibration.world import find_floor
 from streamlod.core.camera import Camera
 from streamlod.core.data.lens import opencv_camera
+from streamlod.core.errors import InputError
 
 _MAX_ROUNDS = 6  # after the first: outliers left out, and curves about the pictures nearest by the offsets found
 _WEIGHED = 2  # first of these, in which it is measured how uneven times are: in more, one camera's would count alone
@@ -87,6 +89,17 @@ def calibrate(tracks: Sequence[Track], board: Board, known: Mapping[str, Float64
     check_known(tracks, known, board.corners)
     fixed = np.array([name in known for name in names])
     lenses = np.array([known[t.camera] if t.camera in known else first_lens(t, board.corners) for t in tracks])
+    try:
+        return _placed(tracks, board, lenses, fixed)
+    except InputError as refusal:
+        cause = in_turn(tracks, board.corners)
+        if cause is not None:  # what was refused is a wrong offset of clocks, at which paths lay alike by chance
+            raise cause from refusal
+        raise
+
+
+def _placed(tracks: Sequence[Track], board: Board, lenses: Float64, fixed: Bool) -> Calibration:
+    names = [track.camera for track in tracks]
     offsets = first_offsets(tracks, lenses, board.corners, board.centre)
     times = chosen_instants(tracks, offsets)
     first = first_poses(tracks, offsets, times, lenses, board.corners)

@@ -77,10 +77,11 @@ def check_certainty(names: Sequence[str], adjusted: Adjusted, seen: Observations
     worst = int(excess.argmax())  # the rig's middle goes with it, and so others may seem uncertain too
     if not excess[worst] <= 1:
         radians, off = adjusted.errors[worst]
+        known = f": its place is uncertain by {1000 * off:.0f} mm and {np.degrees(radians):.2f} degrees"
         raise InputError(
             f"camera {names[worst]}",
-            f"saw too little of the board: its place is uncertain by {1000 * off:.0f} mm and {np.degrees(radians):.2f} "
-            "degrees; walk the board through more of its picture, together with another camera",
+            f"saw too little of the board{known if off < metres[worst] else ' to be placed at all'}; "
+            "walk the board through more of its picture, together with another camera",
         )
     for number, name in enumerate(names):
         mine = seen.camera == number

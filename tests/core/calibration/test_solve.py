@@ -170,6 +170,18 @@ def test_cameras_that_never_see_the_board_together_are_named() -> None:
         calibrate(parted, BOARD, known_lenses(rig()))
 
 
+@pytest.mark.parametrize("run", [4, 16], ids=["half a second each", "two seconds each"])
+def test_cameras_that_saw_the_board_in_turn_are_not_joined_by_chance(run: int) -> None:
+    """At a wrong offset of clocks, two halves of a smooth walk lie alike."""
+    truth = rig(2, arc=60.0)
+    one, other = walked(truth, fps=FPS, seconds=20)
+    turn = (np.arange(len(one.times)) // run % 2 == 1)[:, None, None]
+    one = replace(one, corners=np.where(turn, np.nan, one.corners))
+    other = replace(other, corners=np.where(turn, other.corners, np.nan))
+    with pytest.raises(InputError, match=r"camera cam_1: saw the board together with cam_0 never, and 5 are needed"):
+        calibrate([one, other], BOARD, known_lenses(truth))
+
+
 @pytest.mark.parametrize(
     ("width", "pace", "run", "cause"),
     [
