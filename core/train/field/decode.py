@@ -80,25 +80,6 @@ def decode(inputs: Tensor, offset: Tensor, scaling: Tensor, position: Tensor, ne
     return Splats(*_OnDevice.apply(*given))  # type: ignore[no-untyped-call]
 
 
-def decode_reference(
-    inputs: Tensor,
-    offset: Tensor,
-    scaling: Tensor,
-    position: Tensor,
-    hidden_weight: Tensor,
-    hidden_bias: Tensor,
-    output_weight: Tensor,
-    output_bias: Tensor,
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """The parts of `Splats` by torch, on any device and for any float type; nothing in it waits for a device.
-
-    Args:
-        inputs, offset, scaling, position: as for `decode`; the others as `Network` has them.
-    """
-    hidden = torch.addmm(hidden_bias, inputs, hidden_weight).relu()
-    return _activated(torch.addmm(output_bias, hidden, output_weight), offset, scaling, position)
-
-
 def _activated(
     outputs: Tensor, offset: Tensor, scaling: Tensor, position: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -146,7 +127,7 @@ def _differentiated(
 
 
 class _OnDevice(torch.autograd.Function):
-    """`decode_reference` in few launches: the gradient is written down."""
+    """`decode` by torch in few launches, for any device and float type: the gradient is written down."""
 
     @staticmethod
     def forward(ctx: Any, *given: Tensor) -> tuple[Tensor, ...]:
@@ -181,7 +162,7 @@ def _through_network(
 
 
 class _Fused(torch.autograd.Function):
-    """`decode_reference` on the CPU: torch's matrix products, numba for all that is done number by number."""
+    """`decode` on the CPU: torch's matrix products, numba for all that is done number by number."""
 
     @staticmethod
     def forward(ctx: Any, *given: Tensor) -> tuple[Tensor, ...]:

@@ -28,11 +28,6 @@ def dead_zone(values: Tensor) -> Tensor:
     return values.abs().add_(DEFAULT_OFFSET).floor_().copysign_(values)
 
 
-def dead_zone_through(values: Tensor) -> Tensor:
-    """`dead_zone` with the gradient of the identity: what training sees of residuals is what is sent."""
-    return values + (dead_zone(values) - values).detach()
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Precision:
     """How the numbers of a keyframe's anchors are rounded.

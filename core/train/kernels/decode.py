@@ -58,7 +58,7 @@ def activate(
     opacities: Float32,
     colours: Float32,
 ) -> None:
-    """Gaussians of n anchors, as `core.train.field.decode.decode_reference` makes them of the network's outputs.
+    """Gaussians of n anchors, as `core.train.field.decode.decode` makes them of the network's outputs.
 
     Args:
         outputs: [n,11K]. offset: [n,3K]. scaling: [n,6]. position: [n,3].

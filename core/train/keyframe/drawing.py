@@ -15,7 +15,7 @@ from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.keyframe.random_background import over_colour
 from streamlod.core.train.loss.penalty import penalty
-from streamlod.core.train.loss.total import total_loss
+from streamlod.core.train.loss.photometric import photometric_loss
 from streamlod.core.train.pictures.views import Views
 
 
@@ -38,14 +38,12 @@ class ViewLoss:
         image = over_colour(raster.image, raster.transmittance, self.views.targets[number], colour)
         return replace(raster, image=image)
 
-    def loss(self, raster: Raster, number: int, *prices: Tensor) -> Tensor:
-        """Equation 10 of the paper for camera `number`, and `prices`."""
+    def loss(self, raster: Raster, number: int) -> Tensor:
+        """[] how far camera `number` is from its picture."""
         image = self.exposure.apply(raster.image, number)
-        return total_loss(image, self.views.targets[number], self.config.dssim_weight, prices)
+        return photometric_loss(image, self.views.targets[number], self.config.dssim_weight)
 
-    def penalty(
-        self, splats: Splats, raster: Raster, share: Tensor | None = None, hiding: Tensor | None = None
-    ) -> Tensor:
+    def penalty(self, splats: Splats, raster: Raster, share: Tensor, hiding: Tensor) -> Tensor:
         """What Gaussians cost whatever they show: volume and, of those in view of `raster`, opacity.
 
         With few views many Gaussians are not constrained by any picture. A penalty on opacity removes those, as in
@@ -54,8 +52,7 @@ class ViewLoss:
         looks at would pay in every camera's steps for what it gains in one of them.
 
         Args:
-            share: [G] of the price on opacity that each Gaussian pays, 1 by default.
-            hiding: [G] further price of each opacity, in view or not, 0 by default.
+            share, hiding: as `core.train.loss.penalty.penalty` has them.
         """
         config = self.config
         opacity_weight = config.opacity_weight / max(len(self.views.usable) - 1, 1)

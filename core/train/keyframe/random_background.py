@@ -16,15 +16,8 @@ _BLACK = 1 / 16  # the brightest channel of a pixel that may show nothing at all
 
 def over_colour(image: Tensor, transmittance: Tensor, target: Tensor, colour: Tensor) -> Tensor:
     """Put `image` [H,W,3] over `colour` [3], except where `target` [H,W,3] is black; transmittance is [H,W]."""
-    if image.device.type == "cpu":
-        return over_colour_reference(image, transmittance, target, colour)
-    shown: Tensor = _OnDevice.apply(image, transmittance, target, colour)  # type: ignore[no-untyped-call]
+    shown: Tensor = _OverColour.apply(image, transmittance, target, colour)  # type: ignore[no-untyped-call]
     return shown
-
-
-def over_colour_reference(image: Tensor, transmittance: Tensor, target: Tensor, colour: Tensor) -> Tensor:
-    """`over_colour` differentiated by torch, on any device."""
-    return image + (transmittance * _lit(target))[..., None] * colour
 
 
 def _lit(target: Tensor) -> Tensor:
@@ -33,22 +26,17 @@ def _lit(target: Tensor) -> Tensor:
     return torch.maximum(torch.maximum(red, green), blue) > _BLACK
 
 
-def _pulled(target: Tensor, colour: Tensor, upstream: Tensor) -> Tensor:
-    """[H,W] derivative by the transmittance."""
-    red, green, blue = (upstream * colour).unbind(dim=2)
-    return (red + green + blue) * _lit(target)
-
-
-class _OnDevice(torch.autograd.Function):
-    """`over_colour_reference` in few launches."""
+class _OverColour(torch.autograd.Function):
+    """The gradient is written down, in few launches."""
 
     @staticmethod
     def forward(ctx: Any, image: Tensor, transmittance: Tensor, target: Tensor, colour: Tensor) -> Tensor:
         ctx.save_for_backward(target, colour)
-        return over_colour_reference(image, transmittance, target, colour)
+        return image + (transmittance * _lit(target))[..., None] * colour
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
         target, colour = ctx.saved_tensors
-        return upstream, _pulled(target, colour, upstream), None, None
+        red, green, blue = (upstream * colour).unbind(dim=2)
+        return upstream, (red + green + blue) * _lit(target), None, None

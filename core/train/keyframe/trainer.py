@@ -123,7 +123,7 @@ class KeyframeTrainer:
             colour = torch.rand(3, generator=self._generator, device=field.level.device)
             raster = self._view_loss.over(raster, number, colour)
         price = self._view_loss.penalty(splats, raster, prices, _of_rows(self._hiding, rows))
-        loss = self._view_loss.loss(raster, number, price)
+        loss = self._view_loss.loss(raster, number) + price  # equation 10 of the paper
         (loss if cap is None else self._cap_weight(loss.detach()) * loss).backward()  # type: ignore[no-untyped-call]
         self._learned.step(keyframe_rates(config, progress))
         self._exposure.centre()

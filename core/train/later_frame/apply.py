@@ -10,7 +10,7 @@ from torch import Tensor
 
 from streamlod.core.scene.anchors import FEATURE_LATENTS
 from streamlod.core.train.field.field import Field
-from streamlod.core.train.field.rounding import dead_zone, dead_zone_through
+from streamlod.core.train.field.rounding import dead_zone
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,18 +31,6 @@ def applied(field: Field, latent: Tensor, position: Tensor, unit: UnitChange) ->
     parts = (latent, position, field.feature, field.offset, field.position, unit.feature, unit.offset, unit.position)
     feature, offset, moved = _Applied.apply(*parts)  # type: ignore[no-untyped-call]
     return replace(field, feature=feature, offset=offset, position=moved)
-
-
-def applied_reference(field: Field, latent: Tensor, position: Tensor, unit: UnitChange) -> Field:
-    """`applied`, differentiated by torch."""
-    latent, position = dead_zone_through(latent), dead_zone_through(position)
-    offset = latent[:, FEATURE_LATENTS:] @ unit.offset
-    return replace(
-        field,
-        feature=field.feature + latent[:, :FEATURE_LATENTS] @ unit.feature,
-        offset=field.offset + offset.reshape(field.offset.shape),
-        position=field.position + position * unit.position,
-    )
 
 
 class _Applied(torch.autograd.Function):

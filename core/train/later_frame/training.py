@@ -27,7 +27,7 @@ from streamlod.core.train.later_frame.pixel_steps import steps_a_pixel
 from streamlod.core.train.later_frame.planned import PlannedViews
 from streamlod.core.train.later_frame.steps import steps_of
 from streamlod.core.train.later_frame.update import IntegerUpdate, no_update
-from streamlod.core.train.loss.total import total_loss
+from streamlod.core.train.loss.photometric import photometric_loss
 from streamlod.core.train.optimise.schedule import ViewOrder
 
 _PREPARATION = 0.3  # of a frame's training time, after which no more is planned or searched
@@ -179,15 +179,11 @@ class FrameTraining:
         planned, moves = self._planned(number), self.anchors.moves
         splats, cache = self._splats(number, moves), planned.caches[number]
         raster = cache.render(splats)
-        image, prices = raster.image, list[Tensor]()
+        target, weights = self.target(number), planned.pixel_weights(number, config.changed_weight)
+        loss = photometric_loss(raster.image, target, config.dssim_weight, cache.region, weights)
         if config.rate_weight:
-            prices.append(
-                config.rate_weight * self.anchors.bits(moves) / self._whole.pictures.views.targets[number].numel()
-            )
-        weights = planned.pixel_weights(number, config.changed_weight)
-        loss = total_loss(
-            image, planned.pictures.views.targets[number], config.dssim_weight, prices, cache.region, weights
-        )
+            numbers = self._whole.pictures.views.targets[number].numel()
+            loss = loss + config.rate_weight * self.anchors.bits(moves) / numbers
         loss.backward()  # type: ignore[no-untyped-call]
         self.anchors.step(config, decay)
         return loss.detach(), raster

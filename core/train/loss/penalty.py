@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from torch import Tensor
+
+from streamlod.core.train.loss.known_gradient import with_gradient
 
 
 def penalty(
@@ -14,27 +14,23 @@ def penalty(
     visible: Tensor,
     scale_weight: float,
     opacity_weight: float,
-    share: Tensor | None = None,
-    hiding: Tensor | None = None,
+    share: Tensor,
+    hiding: Tensor,
 ) -> Tensor:
     """[] weighted sum of the mean volume of the Gaussians that are drawn and of the opacity of those in view, over G.
 
     Args:
         scales: [G,3]. opacities: [G], at or below zero for those that are not drawn.
         visible: [V] int64 rows of the Gaussians in view of the picture that is trained.
-        share: [G] of the price on opacity that each pays, 1 by default.
-        hiding: [G] further price of each opacity, in view or not, 0 by default.
+        share: [G] of the price on opacity that each pays.
+        hiding: [G] further price of each opacity, in view or not.
     """
     price_in_view = opacity_weight / max(len(opacities), 1)
-    prices = torch.zeros_like(opacities, requires_grad=False).index_fill_(0, visible, price_in_view)
-    if share is not None:
-        prices = prices * share
-    if hiding is not None:
-        prices = prices + hiding
+    prices = torch.zeros_like(opacities, requires_grad=False).index_fill_(0, visible, price_in_view) * share + hiding
     if scales.device.type == "cpu":
         return penalty_reference(scales, opacities, prices, scale_weight)
-    total: Tensor = _OnDevice.apply(scales, opacities, prices, scale_weight)  # type: ignore[no-untyped-call]
-    return total
+    price, *gradients = _priced(scales, opacities, prices, (opacities > 0).sum(), scale_weight)
+    return with_gradient(price.sum(), [scales, opacities], gradients)
 
 
 def penalty_reference(scales: Tensor, opacities: Tensor, prices: Tensor, scale_weight: float) -> Tensor:
@@ -45,6 +41,7 @@ def penalty_reference(scales: Tensor, opacities: Tensor, prices: Tensor, scale_w
     return scale_weight * volume + (opacity * prices).sum()
 
 
+@torch.no_grad()
 def _priced(
     scales: Tensor, opacities: Tensor, prices: Tensor, drawn: Tensor, scale_weight: float
 ) -> tuple[Tensor, Tensor, Tensor]:
@@ -58,18 +55,3 @@ def _priced(
     price = volume_weight * x * y * z + prices * opacities.clamp(min=0)
     by_scales = volume_weight[:, None] * torch.stack([y * z, x * z, x * y], dim=1)
     return price, by_scales, prices * (opacities >= 0)
-
-
-class _OnDevice(torch.autograd.Function):
-    """`penalty_reference` in few launches: the gradient is made together with the value."""
-
-    @staticmethod
-    def forward(ctx: Any, scales: Tensor, opacities: Tensor, prices: Tensor, scale_weight: float) -> Tensor:
-        price, *ctx.gradients = _priced(scales, opacities, prices, (opacities > 0).sum(), scale_weight)
-        total: Tensor = price.sum()
-        return total
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        return (*torch._foreach_mul(ctx.gradients, upstream), None, None)

@@ -2,21 +2,20 @@
 
 Loss of Kerbl et al. 2023, equation 7: (1 - w) L1 + w (1 - SSIM), SSIM with an 11x11 Gaussian window of sigma 1.5 and
 zero padding, means over all pixels and channels; absolute differences may be weighted. Three forms of one loss: a numba
-pass on the CPU, `photometric_planes` on other devices, and `photometric_reference`, which says it plainly.
+pass on the CPU, `photometric_planes` on other devices, and a reference in the tests, which says it plainly.
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from itertools import combinations
-from typing import Any
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 from streamlod.core.render.tiles import Box
+from streamlod.core.train.loss.known_gradient import with_gradient
 
 WINDOW, SIGMA = 11, 1.5
 _C1, _C2 = 0.01**2, 0.03**2
@@ -35,69 +34,48 @@ def photometric_loss(
         dssim_weight: w above.
         region: evaluate only what the pixels of these boxes change. The gradient inside is that of the whole loss and
             zero outside; the value differs from the whole loss by what does not depend on the boxes' pixels. Boxes
-            must lie ten pixels apart.
+            must lie in the picture, ten pixels apart.
         pixel_weights: [H,W,3] weights of the absolute differences; None for ones.
 
     Raises:
-        ValueError: the shapes differ or are not [H,W,3], or a box is empty, leaves the picture or is near another.
+        ValueError: the shapes differ or are not [H,W,3].
     """
     if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:
         raise ValueError(f"pictures must both be [H,W,3], not {tuple(image.shape)} and {tuple(target.shape)}")
-    if pixel_weights is not None and pixel_weights.shape != image.shape:
-        raise ValueError(
-            f"pixel weights must be {tuple(image.shape)} like the pictures, not {tuple(pixel_weights.shape)}"
-        )
-    height, width = image.shape[:2]
-    boxes = (Box(0, 0, width, height),) if region is None else tuple(region)
-    for box in boxes:
-        if not (0 <= box.left < box.right <= width and 0 <= box.top < box.bottom <= height):
-            raise ValueError(f"region {tuple(box)} does not lie inside a picture of {width}x{height}")
-    for one, other in combinations(boxes, 2):
-        if _gap(one, other) < WINDOW - 1:
-            raise ValueError(f"regions {tuple(one)} and {tuple(other)} are less than {WINDOW - 1} pixels apart")
-    if image.device.type == "cpu" and image.dtype == torch.float32:
-        loss: Tensor = _Fused.apply(image, target, dssim_weight, boxes, pixel_weights)  # type: ignore[no-untyped-call]
-        return loss
-    return photometric_planes(image, target, dssim_weight, region, pixel_weights)
+    by_numba = image.device.type == "cpu" and image.dtype == torch.float32
+    found = _by_numba if by_numba else photometric_planes
+    value, gradient = found(image, target, dssim_weight, region, pixel_weights)
+    return with_gradient(value, [image], [gradient])
 
 
+def _by_numba(
+    image: Tensor, target: Tensor, dssim_weight: float, region: Sequence[Box] | None, pixel_weights: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    from streamlod.core.render.cpu.photometric import photometric_sums
+
+    boxes = (Box(0, 0, image.shape[1], image.shape[0]),) if region is None else tuple(region)
+    drawn, filmed = image.detach().contiguous().numpy(), target.detach().contiguous().numpy()
+    counted = None if pixel_weights is None else pixel_weights.contiguous().numpy()
+    value, gradient = photometric_sums(drawn, filmed, dssim_weight, boxes, counted)
+    return image.new_tensor(value), torch.from_numpy(gradient)
+
+
+@torch.no_grad()
 def photometric_planes(
-    image: Tensor,
-    target: Tensor,
-    dssim_weight: float = 0.2,
-    region: Sequence[Box] | None = None,
-    pixel_weights: Tensor | None = None,
-) -> Tensor:
-    """`photometric_loss` on any device and for any float type, value and gradient together.
+    image: Tensor, target: Tensor, weight: float, region: Sequence[Box] | None, pixel_weights: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    """`photometric_loss` and its gradient [H,W,3] on any device and for any float type.
 
     What is blurred is stacked into one batch of planes, twice convolved with a line; all else is done pixel by pixel.
     Nothing in it waits for the device.
     """
-    masks = (None, None) if region is None else tuple(_pixels(image, region, room) for room in (0, WINDOW // 2))
-    inside, near = masks
+    inside, near = (None if region is None else _pixels(image, region, room) for room in (0, WINDOW // 2))
     counted = inside
     if pixel_weights is not None:
         counted = pixel_weights if inside is None else inside * pixel_weights
-    loss: Tensor = _Planes.apply(image, target, dssim_weight, inside, near, counted)  # type: ignore[no-untyped-call]
-    return loss
-
-
-def photometric_reference(
-    image: Tensor,
-    target: Tensor,
-    dssim_weight: float = 0.2,
-    region: Sequence[Box] | None = None,
-    pixel_weights: Tensor | None = None,
-) -> Tensor:
-    """`photometric_loss` as torch convolutions, on any device and for any float type."""
-    if region is not None:
-        inside, near = (_pixels(image, region, room) for room in (0, WINDOW // 2))
-        mixed = torch.where(inside, image, image.detach())
-        difference, dissimilarity = (image - target).abs() * inside, (1 - ssim_map(mixed, target)) * near
-    else:
-        difference, dissimilarity = (image - target).abs(), 1 - ssim_map(image, target)
-    difference = difference if pixel_weights is None else pixel_weights * difference
-    return ((1 - dssim_weight) * difference.sum() + dssim_weight * dissimilarity.sum()) / image.numel()
+    blurred = _blurred(_moments(image, target))
+    losses, slopes = _similarity(blurred, image, target, weight, near, counted)
+    return losses.mean(), _slope(image, target, _blurred(slopes), inside, counted, weight)
 
 
 def _pixels(image: Tensor, boxes: Sequence[Box], room: int) -> Tensor:
@@ -106,26 +84,6 @@ def _pixels(image: Tensor, boxes: Sequence[Box], room: int) -> Tensor:
     for box in boxes:
         found[max(0, box.top - room) : box.bottom + room, max(0, box.left - room) : box.right + room] = True
     return found
-
-
-def _gap(a: Box, b: Box) -> int:
-    """Pixels between two boxes, along the axis that parts them more."""
-    return max(a.left - b.right, b.left - a.right, a.top - b.bottom, b.top - a.bottom)
-
-
-def ssim_map(image: Tensor, target: Tensor) -> Tensor:
-    """[H,W,3] structural similarity of [H,W,3] pictures (Wang et al. 2004, equation 13)."""
-    line = _line(image.dtype, image.device)
-    kernel = torch.outer(line, line)
-
-    def blur(picture: Tensor) -> Tensor:
-        planes = picture.permute(2, 0, 1)[:, None]
-        return functional.conv2d(planes, kernel[None, None], padding=WINDOW // 2)[:, 0].permute(1, 2, 0)
-
-    a, b = blur(image), blur(target)
-    variances = blur(image * image) - a * a + blur(target * target) - b * b
-    covariance = blur(image * target) - a * b
-    return ((2 * a * b + _C1) * (2 * covariance + _C2)) / ((a * a + b * b + _C1) * (variances + _C2))
 
 
 @functools.lru_cache(maxsize=8)
@@ -201,57 +159,3 @@ def _numbers(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, 
     """[] 0, 1 and SSIM's first constant, made on the device."""
     zero = torch.zeros((), dtype=dtype, device=device)
     return zero, zero + 1, zero + _C1
-
-
-class _Planes(torch.autograd.Function):
-    """The gradient is made together with the value, since it needs the same blurs."""
-
-    @staticmethod
-    def forward(
-        ctx: Any,
-        image: Tensor,
-        target: Tensor,
-        weight: float,
-        inside: Tensor | None,
-        near: Tensor | None,
-        counted: Tensor | None,
-    ) -> Tensor:
-        blurred = _blurred(_moments(image, target))
-        losses, slopes = _similarity(blurred, image, target, weight, near, counted)
-        if ctx.needs_input_grad[0]:
-            ctx.gradient = _slope(image, target, _blurred(slopes), inside, counted, weight)
-        loss: Tensor = losses.mean()
-        return loss
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        return ctx.gradient * upstream, None, None, None, None, None  # asking what it is would make the host wait
-
-
-class _Fused(torch.autograd.Function):
-    """The gradient is made together with the value, since it needs the same blurs."""
-
-    @staticmethod
-    def forward(
-        ctx: Any,
-        image: Tensor,
-        target: Tensor,
-        dssim_weight: float,
-        boxes: tuple[Box, ...],
-        pixel_weights: Tensor | None,
-    ) -> Tensor:
-        from streamlod.core.render.cpu.photometric import photometric_sums
-
-        drawn, filmed = image.detach().contiguous().numpy(), target.detach().contiguous().numpy()
-        counted = None if pixel_weights is None else pixel_weights.contiguous().numpy()
-        value, gradient = photometric_sums(drawn, filmed, dssim_weight, boxes, counted)
-        ctx.gradient = torch.from_numpy(gradient)
-        return image.new_tensor(value)
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        if upstream != 1:  # no backward pass may change what another may ask for again
-            return ctx.gradient * upstream, None, None, None, None
-        return ctx.gradient, None, None, None, None

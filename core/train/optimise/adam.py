@@ -136,24 +136,5 @@ def update_all(
     return (sound != flat).sum()
 
 
-def update_reference(
-    value: Tensor,
-    gradient: Tensor,
-    first: Tensor,
-    second: Tensor,
-    rate: float,
-    correction2: float,
-    memory: float = _BETA1,
-) -> Tensor:
-    """`update` of one value, plainly."""
-    broken = gradient.numel() - torch.isfinite(gradient).sum()
-    gradient = gradient.nan_to_num(0.0, 0.0, 0.0)
-    first.lerp_(gradient, 1 - memory)
-    second.mul_(_BETA2).addcmul_(gradient, gradient, value=1 - _BETA2)
-    spread = (second / correction2).sqrt_().add_(_EPSILON)
-    value.addcdiv_(first, spread, value=-rate)
-    return broken
-
-
 def _fits_kernel(part: Tensor) -> bool:
     return part.device.type == "cpu" and part.dtype == torch.float32 and part.is_contiguous()

@@ -17,16 +17,17 @@ from streamlod.core.scene.expand import expand
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import PredictConfig, TrainConfig, Trainer
 from streamlod.core.train.config import KeyframeConfig
-from streamlod.core.train.field.decode import Network, decode, decode_reference
+from streamlod.core.train.field.decode import Network, decode
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.keyframe.random_background import over_colour
 from streamlod.core.train.later_frame.apply import UnitChange, applied
 from streamlod.core.train.later_frame.parts import USUAL
 from streamlod.core.train.loss.penalty import penalty
-from streamlod.core.train.loss.photometric import photometric_loss, photometric_reference
+from streamlod.core.train.loss.photometric import photometric_loss
 from streamlod.core.train.optimise.adam import RowAdam
-from streamlod.core.train.optimise.rate import residual_bits, residual_bits_reference
+from streamlod.core.train.optimise.rate import residual_bits
 from tests.core.train.fields import random_field
+from tests.core.train.references import decode_reference, photometric_reference, residual_bits_reference
 from tests.core.true_points import true_points
 
 pytestmark = pytest.mark.cuda
@@ -66,12 +67,13 @@ def test_residuals_are_applied_as_on_the_cpu(gpu: str) -> None:
 
 
 def test_penalty_equals_the_cpu(gpu: str) -> None:
-    scales, opacities, hiding = torch.rand(70, 3), torch.rand(70) - 0.3, torch.rand(70)
+    scales, opacities, share, hiding = torch.rand(70, 3), torch.rand(70) - 0.3, torch.rand(70), torch.rand(70)
     opacities[0] = 0
     visible = torch.arange(0, 70, 3)
 
     def priced(*given: torch.Tensor) -> torch.Tensor:
-        return penalty(*given, visible.to(given[0].device), 0.3, 0.2, None, hiding.to(given[0].device))
+        rows, *parts = (part.to(given[0].device) for part in (visible, share, hiding))
+        return penalty(*given, rows, 0.3, 0.2, *parts)
 
     _equal_the_cpu(priced, (scales, opacities), gpu)
 

@@ -14,8 +14,9 @@ from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import expand
 from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import field_of, level_starts, scene_of
-from streamlod.core.train.field.decode import Network, decode, decode_reference
+from streamlod.core.train.field.decode import Network, decode
 from tests.core.train.fields import random_field
+from tests.core.train.references import decode_reference
 from tests.threads import MAX_THREADS, kernel_threads
 
 

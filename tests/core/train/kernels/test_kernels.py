@@ -12,11 +12,12 @@ from streamlod.core.camera import pinhole
 from streamlod.core.scene.anchors import LATENTS
 from streamlod.core.train.growth.depth_search import matched_pixels
 from streamlod.core.train.kernels import adam, decode, rate, windows
-from streamlod.core.train.optimise.adam import RowAdam, update, update_all, update_reference
-from streamlod.core.train.optimise.rate import residual_bits, residual_bits_reference
+from streamlod.core.train.optimise.adam import RowAdam, update, update_all
+from streamlod.core.train.optimise.rate import residual_bits
 from streamlod.core.train.pictures.views import Views
 from streamlod.server.pipeline.warming import warm_trainer
 from tests.core.train.fields import random_field
+from tests.core.train.references import residual_bits_reference, update_reference
 from tests.threads import MAX_THREADS, kernel_threads
 
 

@@ -10,8 +10,9 @@ from torch import Tensor
 
 from streamlod.core.scene.anchors import LATENTS, OFFSET_LATENTS
 from streamlod.core.train.field.field import Field
-from streamlod.core.train.later_frame.apply import UnitChange, applied, applied_reference
+from streamlod.core.train.later_frame.apply import UnitChange, applied
 from tests.core.train.fields import random_field
+from tests.core.train.references import applied_reference
 
 NAMES = ("feature", "offset", "position")
 

@@ -21,6 +21,8 @@ from streamlod.core.train.keyframe.drawing import ViewLoss
 from streamlod.core.train.pictures.views import Views
 from tests.core.train.keyframe.test_first_frame import frames, ring, short, wall
 
+ALIKE = torch.ones(()), torch.zeros(())  # all pay the whole price, and none hides anything
+
 
 def splats(opacities: torch.Tensor, scales: torch.Tensor) -> Splats:
     count = len(opacities)
@@ -36,7 +38,7 @@ def test_gaussians_out_of_view_pay_nothing() -> None:
     config = KeyframeConfig(scale_weight=0.0, opacity_weight=0.4)
     loss = ViewLoss(Views(ring(3), torch.zeros(3, 32, 48, 3), [0, 1, 2]), neutral(3), config, "cpu")
     opacities = torch.full((5,), 0.5, requires_grad=True)
-    loss.penalty(splats(opacities, torch.ones(5, 3)), seen(1, 3)).backward()  # type: ignore[no-untyped-call]
+    loss.penalty(splats(opacities, torch.ones(5, 3)), seen(1, 3), *ALIKE).backward()  # type: ignore[no-untyped-call]
     price = 0.4 / 2 / 5
     torch.testing.assert_close(opacities.grad, torch.tensor([0.0, price, 0.0, price, 0.0]))
 
@@ -59,10 +61,10 @@ def test_each_shown_gaussian_pays_for_its_opacity_and_volume() -> None:
     config = KeyframeConfig(scale_weight=0.1, opacity_weight=0.4)
     views = Views(ring(3), torch.zeros(3, 32, 48, 3), [0, 1, 2])
     all_seen = seen(0, 1, 2, 3)
-    penalty = ViewLoss(views, neutral(3), config, "cpu").penalty(splats(opacities, scales), all_seen)
+    penalty = ViewLoss(views, neutral(3), config, "cpu").penalty(splats(opacities, scales), all_seen, *ALIKE)
     assert penalty.item() == pytest.approx(0.1 * (6 + 1 + 2) / 3 + 0.4 / 2 * (0.5 + 0.1 + 0.9) / 4)
     alone = ViewLoss(Views(ring(1), torch.zeros(1, 32, 48, 3), [0]), neutral(1), config, "cpu")
-    assert alone.penalty(splats(opacities, scales), all_seen).item() == pytest.approx(0.1 * 3 + 0.4 * 1.5 / 4)
+    assert alone.penalty(splats(opacities, scales), all_seen, *ALIKE).item() == pytest.approx(0.1 * 3 + 0.4 * 1.5 / 4)
     penalty.backward()  # type: ignore[no-untyped-call]
     torch.testing.assert_close(opacities.grad, torch.tensor([0.05, 0.0, 0.05, 0.05]))
     assert scales.grad is not None

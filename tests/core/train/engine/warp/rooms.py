@@ -13,13 +13,16 @@ from streamlod.core.camera import Camera, look_at, pinhole
 from streamlod.core.render import rasterise
 from streamlod.core.train.engine.warp.frame import begin, load_anchors, load_cameras, load_pictures, load_still
 from streamlod.core.train.engine.warp.room import Capacity, StepRoom, step_room, view_of
-from streamlod.core.train.field.decode import Splats, decode_reference, join
+from streamlod.core.train.field.decode import Splats, join
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.field.field import Field
-from streamlod.core.train.field.rounding import dead_zone_through
-from streamlod.core.train.loss.photometric import photometric_reference
-from streamlod.core.train.optimise.rate import residual_bits_reference
 from tests.core.train.fields import random_field
+from tests.core.train.references import (
+    dead_zone_through,
+    decode_reference,
+    photometric_reference,
+    residual_bits_reference,
+)
 
 SIZE = 96, 54
 ANCHORS, SLOTS = 24, 4

@@ -21,8 +21,8 @@ from streamlod.core.train.engine.warp.frame import begin, load_pictures
 from streamlod.core.train.engine.warp.kernels import loss, rate
 from streamlod.core.train.engine.warp.room import view_of
 from streamlod.core.train.engine.warp.step import TrainingStep
-from streamlod.core.train.optimise.adam import update_reference
 from tests.core.train.engine.warp.rooms import ANCHORS, RATES, TOLD, SmallFrame, relative, small_frame
+from tests.core.train.references import update_reference
 
 pytestmark = pytest.mark.long  # compiling the kernels takes a minute
 
