@@ -38,6 +38,7 @@ from streamlod.server.ingest.live import LiveDataset, open_live
 from streamlod.server.ingest.statistics import Statistics
 from streamlod.server.pipeline.bounded_queue import Outlet, made_by
 from streamlod.server.pipeline.checks import synthetic_spec
+from streamlod.server.pipeline.dark_start import contrast, is_worth_anew
 from streamlod.server.pipeline.draft import draft_scene
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.rehearsal import rehearse
@@ -319,6 +320,7 @@ class _Training:
             target_kbps=job.target_kbps,
         )
         self._refresh = RefreshSchedule(RefreshRule(max_age=job.keyframe_interval), size.size_bytes)
+        self._first_contrast: float | None = None  # of the pictures that the first frame was trained of
 
     def run(self, resume: Scene | None, start: int) -> None:
         """Train all frames from `start`, after the state to resume if there is one."""
@@ -332,16 +334,27 @@ class _Training:
             for filmed, read in frames:
                 captured = None if filmed.latency_ns is None else read.end - filmed.latency_ns / 1e9
                 frame = replace(filmed, index=filmed.index + shift)
-                if self._trainer.has_state:
+                if self._trainer.has_state and not self._begins_anew(frame):
                     trained = self._later(frame)
                 else:
                     trained = self._first(frame)
                     shift = trained.scene.version - filmed.index
                 self._outlet.put(replace(trained, spans=(read, *trained.spans), captured=captured))
 
+    def _begins_anew(self, frame: FrameSet) -> bool:
+        """Whether the first frame had too little in it, and this one has something; see `dark_start`."""
+        now = contrast(frame)
+        if self._first_contrast is None:  # after a restart
+            self._first_contrast = now
+        if not is_worth_anew(self._first_contrast, now):
+            return False
+        _LOG.info("version %d: trained anew, as there was next to nothing in the first pictures", frame.index)
+        return True
+
     def _first(self, frame: FrameSet) -> _Trained:
         """The first keyframe, with previews before it if they are wanted: a draft, then the training's own."""
         dataset, version, due = self._dataset, frame.index, list(_PREVIEWS_AT)
+        self._first_contrast = contrast(frame)
 
         def show(scene: Scene, fraction: float) -> None:
             nonlocal version
