@@ -58,9 +58,9 @@ class Octree:
         cell = np.reshape(self.root_cell / 2.0 ** np.asarray(level), (-1, 1))
         return np.round((positions - self.origin) / cell).astype(np.int32)
 
-    def node_of(self, voxels: Int32, level: int) -> Float64:
-        """[N,3] float64 world position of grid nodes `voxels` [N,3]."""
-        return self.origin + voxels * self.cell(level)
+    def node_of(self, voxels: Int32, level: int | Int64) -> Float64:
+        """[N,3] float64 world position of grid nodes `voxels` [N,3], of one level or of [N]."""
+        return self.origin + voxels * np.reshape(self.root_cell / 2.0 ** np.asarray(level), (-1, 1))
 
 
 def narrowest_cell(motion_cell: float) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from streamlod.core.arrays import Float32, Int64
+from streamlod.core.arrays import Float32, Int16, Int32, Int64
 from streamlod.core.camera import Camera
 from streamlod.core.scene.anchors import (
     FEATURE_LATENTS,
@@ -23,7 +23,7 @@ from streamlod.core.scene.octree import morton_key
 from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.decode import Network
 from streamlod.core.train.field.field import Field
-from streamlod.core.train.field.rounding import Precision, to_int16, usual_precision
+from streamlod.core.train.field.rounding import Precision, usual_precision
 
 
 def scene_of(
@@ -66,9 +66,18 @@ def scene_of(
         feature_decoder=_feature_decoder(field.feature, predict.feature_step * _mean_length(precision.basis)),
         offset_decoder=_offset_decoder(3 * slots, predict.offset_step),
     )
-    here = field.to("cpu")
-    levels = tuple(_level_of(here, number, header) for number in range(field.octree.levels))
-    return Scene(header, weights, levels, keyframe=version, version=version, identifier=new_identifier())
+    here = _in_order(field.to("cpu"))
+    level = here.level.numpy()
+    moved = here.position.numpy() - here.octree.node_of(here.voxel.numpy(), level)
+    position = np.round(moved / header.position_steps[level, None]).astype(np.int32)
+    return Scene(
+        header,
+        weights,
+        levels_of(here, position, header),
+        keyframe=version,
+        version=version,
+        identifier=new_identifier(),
+    )
 
 
 def motion_cell_of(scene: Scene, predict: PredictConfig) -> float:
@@ -104,23 +113,38 @@ def level_starts(scene: Scene) -> Int64:
     return np.concatenate([[0], np.cumsum([len(level) for level in scene.levels])]).astype(np.int64)
 
 
-def _level_of(field: Field, number: int, header: SceneHeader) -> AnchorLevel:
-    rows = torch.nonzero(field.level == number)[:, 0]
-    voxel = field.voxel[rows].numpy()
-    rows = rows[torch.from_numpy(np.argsort(morton_key(voxel), kind="stable"))]
-    count = len(rows)
-    moved = field.position[rows].numpy() - field.octree.node_of(field.voxel[rows].numpy(), number)
-    extra = (field.extra_level[rows] / EXTRA_LEVEL_UNIT).round().clamp(0, 32767)
-    return AnchorLevel(
-        voxel=field.voxel[rows].numpy(),
-        position=np.round(moved / header.position_steps[number]).astype(np.int32),
-        feature=to_int16(field.feature[rows], torch.from_numpy(header.feature_steps)).numpy(),
-        offset=to_int16(field.offset[rows].flatten(1), torch.from_numpy(header.offset_steps)).numpy(),
-        scaling=to_int16(field.scaling[rows], torch.from_numpy(header.scaling_steps)).numpy(),
-        extra_level=extra.to(torch.int16).numpy(),
-        latent=np.zeros((count, LATENTS), np.int16),
-        alive=np.ones(count, np.bool_),
-    )
+def levels_of(field: Field, position: Int32, header: SceneHeader) -> tuple[AnchorLevel, ...]:
+    """Anchors of `field` on the CPU, `position` [N,3] steps from their nodes, by level, as they are sent."""
+    levels = []
+    for number in range(field.octree.levels):
+        rows = torch.nonzero(field.level == number)[:, 0]
+        here, count = field.with_rows(rows), len(rows)
+        levels.append(
+            AnchorLevel(
+                voxel=here.voxel.numpy(),
+                position=position[rows.numpy()],
+                feature=_integers(here.feature, header.feature_steps),
+                offset=_integers(here.offset.flatten(1), header.offset_steps),
+                scaling=_integers(here.scaling, header.scaling_steps),
+                extra_level=_integers(here.extra_level.clamp(min=0), np.float32(EXTRA_LEVEL_UNIT)),
+                latent=np.zeros((count, LATENTS), np.int16),
+                alive=np.ones(count, np.bool_),
+            )
+        )
+    return tuple(levels)
+
+
+def _in_order(field: Field) -> Field:
+    """The anchors of each level in Morton order, one level after another."""
+    level, voxel = field.level.numpy(), field.voxel.numpy()
+    of_levels = [np.flatnonzero(level == number) for number in range(field.octree.levels)]
+    rows = [rows[np.argsort(morton_key(voxel[rows]), kind="stable")] for rows in of_levels]
+    return field.with_rows(torch.from_numpy(np.concatenate(rows)))
+
+
+def _integers(values: Tensor, steps: Float32 | np.float32) -> Int16:
+    rounded = np.round(values.detach().numpy() / steps)
+    return np.nan_to_num(rounded).clip(-32768, 32767).astype(np.int16)
 
 
 def _feature_decoder(feature: Tensor, step: float) -> Float32:

@@ -87,9 +87,3 @@ def usual_precision(field: Field, shift: int = USUAL) -> Precision:
 
 def _on_grid(values: Tensor, width: Tensor) -> Tensor:
     return round_through(values / width) * width
-
-
-def to_int16(values: Tensor, step: Tensor) -> Tensor:
-    """IntegerUpdate of `values`, saturated to int16."""
-    limits = torch.iinfo(torch.int16)
-    return (values / step).round().clamp(limits.min, limits.max).to(torch.int16)

@@ -1,14 +1,10 @@
-"""New anchors: their first values, and the integers that are sent (paper section V-A, refinement)."""
+"""First values of new anchors (paper section V-A, refinement)."""
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from streamlod.core.arrays import Float32, Int16, Int32
-from streamlod.core.scene.anchors import LATENTS, AnchorLevel, SceneHeader
-from streamlod.core.scene.expand import EXTRA_LEVEL_UNIT
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.growth.gradient import NewAnchors
 
@@ -30,30 +26,3 @@ def first_values(parents: Field, new: NewAnchors, generator: torch.Generator) ->
         "offset": _SPREAD * offset.to(device),
         "scaling": cell.log().float()[:, None].repeat(1, 6),
     }
-
-
-def added_levels(field: Field, position: Int32, header: SceneHeader) -> tuple[AnchorLevel, ...]:
-    """Anchors of `field`, `position` [n,3] steps from their nodes, by level, as they are sent."""
-    levels = []
-    of_anchor = field.level.cpu().numpy()
-    for number in range(field.octree.levels):
-        rows = np.flatnonzero(of_anchor == number)
-        count = len(rows)
-        levels.append(
-            AnchorLevel(
-                voxel=field.voxel.cpu().numpy()[rows],
-                position=position[rows],
-                feature=_integers(field.feature[rows], header.feature_steps),
-                offset=_integers(field.offset[rows].flatten(1), header.offset_steps),
-                scaling=_integers(field.scaling[rows], header.scaling_steps),
-                extra_level=_integers(field.extra_level[rows].clamp(min=0), np.float32(EXTRA_LEVEL_UNIT)),
-                latent=np.zeros((count, LATENTS), np.int16),
-                alive=np.ones(count, np.bool_),
-            )
-        )
-    return tuple(levels)
-
-
-def _integers(values: Tensor, steps: Float32 | np.float32) -> Int16:
-    rounded = np.round(values.detach().cpu().numpy() / steps)
-    return np.nan_to_num(rounded).clip(-32768, 32767).astype(np.int16)

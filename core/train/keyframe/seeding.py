@@ -54,7 +54,7 @@ def seed_field(
     voxels = _within_budget(voxels, int(_SEED_SHARE * config.max_anchors))
     voxel = np.concatenate(voxels)
     level = np.repeat(np.arange(levels), [len(part) for part in voxels])
-    position = np.concatenate([octree.node_of(part, number) for number, part in enumerate(voxels)])
+    position = octree.node_of(voxel, level)
     return Field(
         octree=octree,
         reference_distance=farthest,

@@ -12,9 +12,9 @@ from torch import Tensor
 from streamlod.core.arrays import Bool, Int32
 from streamlod.core.scene.anchors import LATENTS
 from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.field.convert import levels_of
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.field.rounding import dead_zone
-from streamlod.core.train.growth.new_anchors import added_levels
 from streamlod.core.train.later_frame.added_anchors import MAX_STEPS, AddedAnchors
 from streamlod.core.train.later_frame.apply import UnitChange, applied
 from streamlod.core.train.later_frame.state import State
@@ -122,8 +122,8 @@ class TrainedAnchors:
         added = None
         if self._added is not None:
             new = np.flatnonzero(shown[len(self) :])
-            chosen = self.field().with_rows(torch.from_numpy(new + len(self)).to(self.base.feature.device))
-            added = added_levels(chosen, self._added.moved[new], self._scene.header)
+            chosen = self.field().with_rows(torch.from_numpy(new + len(self)).to(self.base.feature.device)).to("cpu")
+            added = levels_of(chosen, self._added.moved[new], self._scene.header)
         return IntegerUpdate(
             latent,
             position,

@@ -10,8 +10,7 @@ import torch
 from streamlod.core.camera import pinhole
 from streamlod.core.scene.residual import apply
 from streamlod.core.train.config import PredictConfig
-from streamlod.core.train.field.convert import level_starts, scene_of
-from streamlod.core.train.growth.new_anchors import added_levels
+from streamlod.core.train.field.convert import level_starts, levels_of, scene_of
 from streamlod.core.train.later_frame.update import no_update, residual_of
 from tests.core.train.fields import random_field
 from tests.core.train.later_frame.begun import bare_state
@@ -24,7 +23,7 @@ def test_added_anchors_count_as_trained_and_move_the_rows_of_others() -> None:
     rows = torch.tensor([2, 12, 25])  # one of each level
     assert np.searchsorted(level_starts(scene), rows.numpy(), side="right").tolist() == [1, 2, 3]
     new = state.field.with_rows(torch.tensor([0, 15]))
-    added = added_levels(new, np.zeros((2, 3), np.int32), scene.header)
+    added = levels_of(new, np.zeros((2, 3), np.int32), scene.header)
     position = np.array([[1, 0, 0], [0, 2, 0], [0, 0, 3]], np.int32)
     update = replace(no_update(3), position=position, added=added)
     residual = residual_of(scene, rows.numpy(), update, 1)
