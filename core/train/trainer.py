@@ -19,7 +19,7 @@ from streamlod.core.scene.exposures import NEUTRAL
 from streamlod.core.scene.keyframe import as_keyframe
 from streamlod.core.scene.metadata import Metadata
 from streamlod.core.train.config import TrainConfig
-from streamlod.core.train.control.frame_budget import FixedSteps, FrameBudget, FrameProgress
+from streamlod.core.train.control.frame_budget import FrameBudget, Pace, fixed_steps
 from streamlod.core.train.control.rate_control import RateControl
 from streamlod.core.train.field.convert import motion_cell_of, scene_of
 from streamlod.core.train.field.exposure import exposure_of, fitted, neutral
@@ -197,7 +197,9 @@ class Trainer:
         done = train_later_frame(state, views, frames.index, means)
         # trained on for the first time: its static error is nothing that moves
         self._state = as_filmed(done.state, views, unknown) if unknown else done.state
-        self._learn_costs(watch.seconds)
+        if self._budget is not None:
+            for stage, spent in watch.seconds.items():
+                self._budget.spent(stage, spent)
         update, scene = done.update, done.state.scene
         report = FrameReport(
             watch.seconds,
@@ -225,13 +227,8 @@ class Trainer:
             else:
                 self._rate.sent(size_bytes, frame.residual.changed)
 
-    def _learn_costs(self, seconds: dict[str, float]) -> None:
-        if self._budget is not None:
-            for stage, spent in seconds.items():
-                self._budget.spent(stage, spent)
-
-    def _pace(self, steps: int) -> FrameProgress:
-        return FixedSteps(steps) if self._budget is None else self._budget.pace(steps, *AFTER_TRAINING)
+    def _pace(self, steps: int) -> Pace:
+        return fixed_steps(steps) if self._budget is None else self._budget.pace(steps, *AFTER_TRAINING)
 
     def _allows(self, stage: str) -> bool:
         return self._budget is None or self._budget.allows(stage, *AFTER_TRAINING)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Protocol
 
 _FORGET = 0.2  # weight of the latest frame in a cost that falls
 _MAX_COST = 3.0  # budgets: one pause of seconds must not stop training for a hundred frames
@@ -16,22 +15,14 @@ _UNKNOWN = 0.05  # of the budget, reserved for a later stage that has never been
 _MARGIN = 0.05  # of the budget, reserved for work that no stage accounts for
 
 
-class FrameProgress(Protocol):
-    """How far a frame's training is, which also says how far its learning rates have decayed."""
-
-    def progress(self, step: int) -> float:
-        """In [0, 1] before step number `step` (from 0); 1 or more ends the training."""
+Pace = Callable[[int], float]
+"""How far a frame's training is before step number n (from 0), which also says how far its learning rates have decayed:
+in [0, 1]; 1 or more ends the training."""
 
 
-class FixedSteps:
+def fixed_steps(steps: int) -> Pace:
     """A fixed number of steps."""
-
-    def __init__(self, steps: int) -> None:
-        self._steps = steps
-
-    def progress(self, step: int) -> float:
-        """As `FrameProgress.progress`."""
-        return step / self._steps if self._steps else 1.0
+    return lambda step: step / steps if steps else 1.0
 
 
 class FrameBudget:
@@ -74,23 +65,19 @@ class FrameBudget:
         self._costs[stage] = (1 - _FORGET) * known  # so that it is tried again one day
         return False
 
-    def pace(self, steps: int, *later: str) -> FrameProgress:
-        """Progress that ends after `steps`, or where the next step might take time that the stages `later` need."""
-        return _TimedSteps(self, steps, later, self._clock)
+    def pace(self, steps: int, *later: str) -> Pace:
+        """A pace that ends after `steps`, or where the next step might take time that the stages `later` need."""
+        by_steps, begin, allowed = fixed_steps(steps), self._clock(), self.left(*later)
+        before, longest = begin, 0.0
 
+        def progress(step: int) -> float:
+            nonlocal before, longest
+            now = self._clock()
+            if step:
+                longest = max(longest, now - before)
+            before = now
+            if self.left(*later) < longest or allowed <= 0:
+                return 1.0
+            return max(by_steps(step), (now - begin) / allowed)
 
-class _TimedSteps:
-    def __init__(self, budget: FrameBudget, steps: int, later: tuple[str, ...], clock: Callable[[], float]) -> None:
-        self._budget, self._steps, self._later, self._clock = budget, FixedSteps(steps), later, clock
-        self._begin = self._before = clock()
-        self._allowed = budget.left(*later)
-        self._longest = 0.0
-
-    def progress(self, step: int) -> float:
-        now = self._clock()
-        if step:
-            self._longest = max(self._longest, now - self._before)
-        self._before = now
-        if self._budget.left(*self._later) < self._longest or self._allowed <= 0:
-            return 1.0
-        return max(self._steps.progress(step), (now - self._begin) / self._allowed)
+        return progress

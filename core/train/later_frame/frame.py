@@ -16,7 +16,7 @@ from streamlod.core.arrays import Bool
 from streamlod.core.render.backends import Backend
 from streamlod.core.scene.residual import Residual, apply
 from streamlod.core.train.config import PartSettings, PredictConfig, TrainConfig
-from streamlod.core.train.control.frame_budget import FrameProgress
+from streamlod.core.train.control.frame_budget import Pace
 from streamlod.core.train.control.rate_control import RatePlan
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.later_frame.active_tiles import BORDER, mostly_active
@@ -54,7 +54,7 @@ class Means:
     exposure: Exposure
     first_count: int
     allows: Callable[[str], bool]
-    pace: Callable[[int], FrameProgress]
+    pace: Callable[[int], Pace]
     watch: Stopwatch
 
 

@@ -17,7 +17,7 @@ from streamlod.core.arrays import Bool
 from streamlod.core.render.backends import Backend
 from streamlod.core.render.raster import Raster
 from streamlod.core.train.config import PredictConfig
-from streamlod.core.train.control.frame_budget import FixedSteps, FrameProgress
+from streamlod.core.train.control.frame_budget import Pace, fixed_steps
 from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.field.field import Field
@@ -92,23 +92,23 @@ class FrameTraining:
         self,
         config: PredictConfig,
         generator: torch.Generator,
-        progress_of: Callable[[int], FrameProgress] = FixedSteps,
+        pace_of: Callable[[int], Pace] = fixed_steps,
     ) -> IntegerUpdate:
         """Train as configured and round.
 
         Args:
-            progress_of: makes the pace of a number of steps.
+            pace_of: makes the pace of a number of steps.
         """
         total = steps_of(config, self._whole.pictures.masks[self._useful])
-        pace = progress_of(total)
+        pace = pace_of(total)
         self._prepare(pace)
         if not self.numbers:
             return no_update(len(self.anchors))
-        if pace.progress(0) <= _PREPARATION:
+        if pace(0) <= _PREPARATION:
             for hooks in self._hooks:
                 hooks.ready(self)
         order, losses = ViewOrder(self.numbers, generator), list[Tensor]()
-        while (progress := pace.progress(len(losses))) < 1:
+        while (progress := pace(len(losses))) < 1:
             if progress >= config.half_size_until:
                 self._half = None
             number = order.next()
@@ -155,11 +155,11 @@ class FrameTraining:
                 pictures[number] = cache.render_exactly(self._exposure.before(splats, number)).image
         return pictures
 
-    def _prepare(self, pace: FrameProgress) -> None:
+    def _prepare(self, pace: Pace) -> None:
         """Plan the cameras' pictures, as far as time allows."""
         with torch.no_grad():
             for number in self._useful:
-                if self.numbers and pace.progress(0) > _PREPARATION:
+                if self.numbers and pace(0) > _PREPARATION:
                     break
                 if not self._whole.plan(number, self._splats(number)).is_empty:
                     self.numbers.append(number)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from streamlod.core.train.control.frame_budget import FixedSteps, FrameBudget
+from streamlod.core.train.control.frame_budget import FrameBudget, fixed_steps
 
 
 class Clock:
@@ -23,16 +23,16 @@ class Clock:
 def trained_steps(budget: FrameBudget, clock: Clock, planned: int, step_seconds: float) -> int:
     """Steps that a loop at the budget's pace takes."""
     pace, steps = budget.pace(planned, "encode"), 0
-    while pace.progress(steps) < 1:
+    while pace(steps) < 1:
         clock.work(step_seconds)
         steps += 1
     return steps
 
 
 def test_without_a_budget_all_steps_are_taken() -> None:
-    pace = FixedSteps(4)
-    assert [pace.progress(step) for step in range(5)] == [0, 0.25, 0.5, 0.75, 1]
-    assert FixedSteps(0).progress(0) == 1
+    pace = fixed_steps(4)
+    assert [pace(step) for step in range(5)] == [0, 0.25, 0.5, 0.75, 1]
+    assert fixed_steps(0)(0) == 1
 
 
 def test_training_that_fits_is_not_cut_short() -> None:
@@ -57,7 +57,7 @@ def test_rates_decay_to_the_end_however_short_the_time() -> None:
     clock = Clock()
     budget = FrameBudget(100, clock)
     pace, reached = budget.pace(1000), list[float]()
-    while (progress := pace.progress(len(reached))) < 1:
+    while (progress := pace(len(reached))) < 1:
         reached.append(progress)
         clock.work(0.01)
     assert reached == sorted(reached)
@@ -68,7 +68,7 @@ def test_a_budget_that_is_used_up_allows_no_step() -> None:
     clock = Clock()
     budget = FrameBudget(10, clock)
     clock.work(1)
-    assert budget.pace(10).progress(0) >= 1
+    assert budget.pace(10)(0) >= 1
     assert budget.left() < 0
 
 
