@@ -40,8 +40,9 @@ test-all: install ## ruff, mypy and all tests: also long ones, those in Chromium
 tests: install
 	$(PYTEST) -n auto -m 'not slow'
 
-api: install ## Print docs/reference/api.md from the docstrings of the public interface
+api: install ## Print docs/reference/api.md and docs/preset-paper.md from docstrings and settings
 	$(BIN)/python -m tests.api_pages
+	$(BIN)/python -m tests.paper_page
 
 lint: install ## ruff and mypy: --strict, and in tests what does not exist
 	$(BIN)/ruff check .

@@ -28,7 +28,7 @@ LAYERS = {
     ),
     "core.train": (
         "setting config pictures kernels control progress", "optimise loss", "field", "growth motion engine",
-        "keyframe later_frame", "refresh paper", "presets", "trainer",
+        "keyframe later_frame", "paper", "presets", "trainer",
     ),
     "server": (
         "protocol doctor", "ingest", "pipeline", "settings", "auth worker http", "stream", "viewer",

@@ -25,6 +25,7 @@ from streamlod.core.train.field.convert import motion_cell_of, scene_of
 from streamlod.core.train.field.exposure import exposure_of, fitted, neutral
 from streamlod.core.train.field.rendered import rendered
 from streamlod.core.train.growth.near_space import near_space
+from streamlod.core.train.keyframe.refresh import refresh_config
 from streamlod.core.train.keyframe.seeding import seed_field
 from streamlod.core.train.keyframe.trainer import KeyframeTrainer
 from streamlod.core.train.later_frame.frame import AFTER_TRAINING, Means, train_later_frame
@@ -33,7 +34,6 @@ from streamlod.core.train.later_frame.state import KnownPictures, State, fresh_s
 from streamlod.core.train.pictures.uploading import Uploader
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
-from streamlod.core.train.refresh.config import refresh_config
 
 _REPORT_EVERY = 25
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from pathlib import Path
 
 import pytest
 
 from streamlod.core.train import KeyframeConfig, ModelConfig, PredictConfig, preset
-from streamlod.core.train.paper.preset import paper_table
 from streamlod.core.train.setting import Choice
+from tests.paper_page import PAGE, page
 
-DOCUMENT = Path(__file__).parents[4] / "docs" / "preset-paper.md"
 PARTS = [ModelConfig, KeyframeConfig, PredictConfig]
 
 
@@ -33,7 +31,7 @@ def test_the_preset_holds_the_papers_values() -> None:
 
 def test_the_document_shows_the_values_in_force() -> None:
     """So no value changes without the document, which says where it comes from."""
-    assert DOCUMENT.read_text(encoding="utf-8").endswith("\n\n" + paper_table())
+    assert PAGE.read_text(encoding="utf-8") == page()
 
 
 def test_what_the_paper_states_in_numbers() -> None:

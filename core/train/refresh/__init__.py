@@ -1,1 +1,0 @@
-"""Keyframes in mid-stream, which go on from the state of the stream."""
