@@ -3,7 +3,7 @@
 import { button, element } from "./page.js";
 import { show } from "./status.js";
 
-/** @typedef {{ id: string, name: string, state: string, viewers: number, camera_pictures?: string[], sound?: { begin_ns: number, live?: boolean } | null }} Stream */
+/** @typedef {{ id: string, name: string, source: string, state: string, viewers: number, camera_pictures?: string[], sound?: { begin_ns: number, live?: boolean } | null }} Stream */
 
 /** An address of the server that the page is from, which may stand under a path of a proxy. @param {string} path - without a slash at its begin */
 export const serverPath = (path) => new URL(path, new URL(".", location.href)).href;
@@ -34,12 +34,19 @@ async function awaitStreams(options) {
   }
 }
 
-/** The stream the address names, or the server's only or first one. @param {URLSearchParams} options @returns {Promise<string>} */
+/** The stream that is shown where none is named: what cameras film now before what else is shown now, and that before all others. @param {Stream[]} streams @returns {Stream | undefined} */
+export function foremost(streams) {
+  const live = streams.filter(({ state }) => state === "live");
+  return live.find(({ source }) => source === "cameras") ?? live[0] ?? streams[0];
+}
+
+/** The stream the address names, or the server's foremost one. @param {URLSearchParams} options @returns {Promise<string>} */
 export async function chooseStream(options) {
   const named = options.get("stream"), listed = named === null ? awaitStreams(options) : fetchStreams(options);
-  const chosen = named ?? (await listed)[0]?.id ?? "main"; // a named one need not wait
+  const chosen = named ?? foremost(await listed)?.id ?? "main"; // a named one need not wait
   listed.then((streams) => {
     const label = button("stream-name");
+    label.value = chosen;
     label.textContent = streams.find(({ id }) => id === chosen)?.name ?? chosen;
     document.title = `${label.textContent} · streamlod`;
     label.hidden = streams.length < 2;
@@ -79,7 +86,7 @@ export async function showStreams(options) {
     address.searchParams.delete("camera");
     address.searchParams.delete("t");
     link.href = address.href;
-    link.setAttribute("aria-current", String(id === (options.get("stream") ?? streams[0].id)));
+    link.setAttribute("aria-current", String(id === button("stream-name").value));
     const note = document.createElement("small");
     note.textContent = `${state}, ${viewers} watching`;
     link.append(name, note);

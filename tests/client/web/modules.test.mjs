@@ -20,6 +20,7 @@ import { Session } from "../../../client/web/stream/session.js";
 import { part } from "../../../client/web/view/device.js";
 import { DepthSort } from "../../../client/web/view/sort.js";
 import { clock, duration, words } from "../../../client/web/ui/states.js";
+import { foremost } from "../../../client/web/ui/streams.js";
 import { turnAt, turns } from "../../../client/web/view/flight.js";
 import { Bar, Times } from "../../../client/web/ui/times.js";
 import { bin, FREQUENCY, SCALE } from "../../../client/web/decode/tables.js";
@@ -747,4 +748,13 @@ test("of a picture of another shape the middle is sent, of one that lies on its 
   assert.deepEqual(part(size(720, 1280), size(360, 640)), { x: 0, y: 0, width: 720, height: 1280 });
   assert.equal(part(size(720, 1280), size(1280, 720)), null);
   assert.equal(part(size(0, 0), size(1280, 720)), null);
+});
+
+test("who names no stream sees the live cameras, else what is live, else the first", () => {
+  const made = (...kinds) => kinds.map(([source, state], id) => ({ id: String(id), source, state }));
+  const played = ["recording", "live"], ended = ["cameras", "ended"], filmed = ["cameras", "live"];
+  assert.equal(foremost(made(played, ended, filmed, filmed)).id, "2");
+  assert.equal(foremost(made(ended, played)).id, "1");
+  assert.equal(foremost(made(ended, ["data", "failed"])).id, "0");
+  assert.equal(foremost([]), undefined);
 });
