@@ -69,32 +69,52 @@ def join(first: Splats, second: Splats) -> Splats:
 def decode(inputs: Tensor, offset: Tensor, scaling: Tensor, position: Tensor, network: Network) -> Splats:
     """Gaussians of N anchors.
 
-    What follows the network is one numba pass on the CPU.
-
     Args:
         inputs: [N,I] what the network sees; offset: [N,K,3]; scaling: [N,6] log-scales; position: [N,3] world.
     """
-    given = (inputs, offset, scaling, position, *network.parameters())
-    if all(value.device.type == "cpu" and value.dtype == torch.float32 for value in given):
-        return Splats(*_Fused.apply(*given))  # type: ignore[no-untyped-call]
-    return Splats(*_OnDevice.apply(*given))  # type: ignore[no-untyped-call]
+    hidden = torch.addmm(network.hidden_bias, inputs, network.hidden_weight).relu_()
+    given = (torch.addmm(network.output_bias, hidden, network.output_weight), offset, scaling, position)
+    by_numba = all(value.device.type == "cpu" and value.dtype == torch.float32 for value in given)
+    return Splats(*(_Fused if by_numba else _OnDevice).apply(*given))  # type: ignore[no-untyped-call]
 
 
-def _activated(
-    outputs: Tensor, offset: Tensor, scaling: Tensor, position: Tensor
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """The parts of `Splats` of the network's outputs [N,11K]."""
-    count, slots = offset.shape[:2]
-    opacity, colour, relative, rotation = torch.split(outputs, [slots, 3 * slots, 3 * slots, 4 * slots], dim=1)
-    size = scaling.clamp(-MAX_LOG_SCALE, MAX_LOG_SCALE).exp()
-    upright = _upright(outputs.device, outputs.dtype)
-    return (
-        torch.addcmul(position[:, None], offset, size[:, None, :3]).reshape(-1, 3),
-        rotation.reshape(-1, 4) + upright,
-        (size[:, None, 3:] * relative.reshape(count, slots, 3).sigmoid()).reshape(-1, 3),
-        opacity.tanh().reshape(-1),
-        colour.sigmoid().reshape(-1, 3),
-    )
+class _OnDevice(torch.autograd.Function):
+    """The parts of `Splats` of the network's outputs [N,11K], by torch for any device and float type.
+
+    The gradient is written down, which takes fewer launches.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, outputs: Tensor, offset: Tensor, scaling: Tensor, position: Tensor) -> tuple[Tensor, ...]:
+        count, slots = offset.shape[:2]
+        opacity, colour, relative, rotation = torch.split(outputs, [slots, 3 * slots, 3 * slots, 4 * slots], dim=1)
+        size = scaling.clamp(-MAX_LOG_SCALE, MAX_LOG_SCALE).exp()[:, None]
+        scales = (size[..., 3:] * relative.reshape(count, slots, 3).sigmoid()).reshape(-1, 3)
+        opacities, colours = opacity.tanh().reshape(-1), colour.sigmoid().reshape(-1, 3)
+        ctx.save_for_backward(offset, scaling, size, scales, opacities, colours)
+        means = torch.addcmul(position[:, None], offset, size[..., :3]).reshape(-1, 3)
+        return means, rotation.reshape(-1, 4) + _upright(outputs.device, outputs.dtype), scales, opacities, colours
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor, ...]:
+        offset, scaling, size, scales, opacities, colours = ctx.saved_tensors
+        by_means, by_quaternions, by_scales, by_opacities, by_colours = upstream
+        count, slots = offset.shape[:2]
+        pulled, widened = by_means.reshape(offset.shape), (by_scales * scales).reshape(offset.shape)
+        dimmed, tinted = by_opacities * opacities, by_colours * colours
+        outputs = torch.cat(
+            [
+                torch.addcmul(by_opacities, dimmed, opacities, value=-1).reshape(count, slots),
+                torch.addcmul(tinted, tinted, colours, value=-1).reshape(count, 3 * slots),
+                torch.addcdiv(widened, widened * scales.reshape(offset.shape), size[..., 3:], value=-1).flatten(1),
+                by_quaternions.reshape(count, 4 * slots),
+            ],
+            dim=1,
+        )
+        moved = pulled * size[..., :3]
+        to_size = torch.cat([moved * offset, widened], dim=2).sum(dim=1)
+        return outputs, moved, to_size * (scaling.abs() <= MAX_LOG_SCALE), pulled.sum(dim=1)
 
 
 @lru_cache(maxsize=8)
@@ -103,111 +123,39 @@ def _upright(device: torch.device, dtype: torch.dtype) -> Tensor:
     return (torch.arange(4, device=device) == 0).to(dtype)
 
 
-def _differentiated(
-    offset: Tensor, scaling: Tensor, scales: Tensor, opacities: Tensor, colours: Tensor, *upstream: Tensor
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """The derivatives of `_activated` by its four arguments, from derivatives by its five results."""
-    count, slots = offset.shape[:2]
-    by_means, by_quaternions, by_scales, by_opacities, by_colours = upstream
-    size = scaling.clamp(-MAX_LOG_SCALE, MAX_LOG_SCALE).exp()[:, None]
-    pulled, widened = by_means.reshape(offset.shape), (by_scales * scales).reshape(offset.shape)
-    dimmed, tinted = by_opacities * opacities, by_colours * colours
-    outputs = torch.cat(
-        [
-            torch.addcmul(by_opacities, dimmed, opacities, value=-1).reshape(count, slots),
-            torch.addcmul(tinted, tinted, colours, value=-1).reshape(count, 3 * slots),
-            torch.addcdiv(widened, widened * scales.reshape(offset.shape), size[..., 3:], value=-1).flatten(1),
-            by_quaternions.reshape(count, 4 * slots),
-        ],
-        dim=1,
-    )
-    moved = pulled * size[..., :3]
-    to_size = torch.cat([moved * offset, widened], dim=2).sum(dim=1)
-    return outputs, moved, to_size * (scaling.abs() <= MAX_LOG_SCALE), pulled.sum(dim=1)
-
-
-class _OnDevice(torch.autograd.Function):
-    """`decode` by torch in few launches, for any device and float type: the gradient is written down."""
-
-    @staticmethod
-    def forward(ctx: Any, *given: Tensor) -> tuple[Tensor, ...]:
-        inputs, offset, scaling, position, hidden_weight, hidden_bias, output_weight, output_bias = given
-        hidden = torch.addmm(hidden_bias, inputs, hidden_weight).relu_()
-        parts = _activated(torch.addmm(output_bias, hidden, output_weight), offset, scaling, position)
-        ctx.save_for_backward(inputs, offset, scaling, hidden_weight, output_weight, hidden, *parts[2:])
-        return parts
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        inputs, offset, scaling, hidden_weight, output_weight, hidden, *parts = ctx.saved_tensors
-        to_outputs, *found = _differentiated(offset, scaling, *parts, *upstream)
-        products = _through_network(ctx, inputs, hidden, hidden_weight, output_weight, to_outputs)
-        return (products[0], *found, *products[1:])
-
-
-def _through_network(
-    ctx: Any, inputs: Tensor, hidden: Tensor, hidden_weight: Tensor, output_weight: Tensor, to_outputs: Tensor
-) -> tuple[Tensor | None, ...]:
-    """Derivatives by the inputs and the four arrays of the network, from those by its outputs [N,11K]."""
-    needed = ctx.needs_input_grad
-    to_hidden = (to_outputs @ output_weight.T).mul_(hidden > 0)
-    return (
-        to_hidden @ hidden_weight.T if needed[0] else None,
-        inputs.T @ to_hidden if needed[4] else None,
-        to_hidden.sum(dim=0) if needed[5] else None,
-        hidden.T @ to_outputs if needed[6] else None,
-        to_outputs.sum(dim=0) if needed[7] else None,
-    )
-
-
 class _Fused(torch.autograd.Function):
-    """`decode` on the CPU: torch's matrix products, numba for all that is done number by number."""
+    """The same on the CPU, in one numba pass each way."""
 
     @staticmethod
-    def forward(ctx: Any, *given: Tensor) -> tuple[Tensor, ...]:
-        inputs, offset, scaling, position, hidden_weight, hidden_bias, output_weight, output_bias = given
+    def forward(ctx: Any, outputs: Tensor, offset: Tensor, scaling: Tensor, position: Tensor) -> tuple[Tensor, ...]:
         count, slots = offset.shape[:2]
-        hidden = torch.addmm(hidden_bias, inputs, hidden_weight).relu_()
-        outputs = torch.addmm(output_bias, hidden, output_weight)
         size = torch.empty(count, 6)
-        widths = (3, 4, 3, 1, 3)  # of means, quaternions, scales, opacities, colours
-        found = tuple(torch.empty(count, width * slots) for width in widths)
+        means, scales, colours = (torch.empty(count * slots, 3) for _ in range(3))
+        parts = (means, torch.empty(count * slots, 4), scales, torch.empty(count * slots), colours)
+        found = (_rows(part, count, slots) for part in parts)
         kernels.activate(
-            _workers(count), *_arrays(outputs, offset.reshape(count, 3 * slots), scaling, position, size, *found)
+            _workers(count), *_arrays(outputs, _rows(offset, count, slots), scaling, position, size, *found)
         )
-        means, quaternions, scales, opacities, colours = found
-        parts = (
-            means.view(-1, 3),
-            quaternions.view(-1, 4),
-            scales.view(-1, 3),
-            opacities.view(-1),
-            colours.view(-1, 3),
-        )
-        # the views, since those are the outputs that autograd watches for changes in place
-        ctx.save_for_backward(inputs, offset, scaling, hidden_weight, output_weight, hidden, size, *parts[2:])
+        ctx.save_for_backward(offset, scaling, size, *parts[2:])
         return parts
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        inputs, offset, scaling, hidden_weight, output_weight, hidden, size, *parts = ctx.saved_tensors
+    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor, ...]:
+        offset, scaling, size, *parts = ctx.saved_tensors
         count, slots = offset.shape[:2]
-        # widths in numbers: of no rows, torch cannot tell them
-        known = (offset.reshape(count, 3 * slots), scaling, size, *(_rows(part, count, slots) for part in parts))
+        known = (_rows(offset, count, slots), scaling, size, *(_rows(part, count, slots) for part in parts))
         by = (_rows(gradient, count, slots) for gradient in upstream)
-        to_outputs, to_offset, to_scaling, to_position = (
-            torch.empty(count, width) for width in (11 * slots, 3 * slots, 6, 3)
-        )
-        found = (to_outputs, to_offset, to_scaling, to_position)
+        found = tuple(torch.empty(count, width) for width in (11 * slots, 3 * slots, 6, 3))
         kernels.differentiate(_workers(count), *_arrays(*known, *by, *found))
-        products = _through_network(ctx, inputs, hidden, hidden_weight, output_weight, to_outputs)
-        return (products[0], to_offset.view(offset.shape), to_scaling, to_position, *products[1:])
+        to_outputs, to_offset, to_scaling, to_position = found
+        return to_outputs, to_offset.view(offset.shape), to_scaling, to_position
 
 
 def _rows(values: Tensor, count: int, slots: int) -> Tensor:
-    """[N,K*C] of values [N*K,C] or [N*K]."""
-    return values.reshape(count, slots * values.shape[1:].numel())
+    """[N,K*C] of values [N,K,C], [N*K,C] or [N*K]; widths are counted, as torch cannot tell those of no rows."""
+    width = values.shape[-1] if values.ndim > 1 else 1
+    return values.reshape(count, slots * width)
 
 
 def _workers(count: int) -> int:
