@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from streamlod.core.arrays import Float64, Int32, Int64
+from streamlod.core.render.raster import Probe
 from streamlod.core.train.field.field import Field
 
 _LEVEL_FACTOR = 2**0.2  # thresholds grow with the level
@@ -23,40 +24,39 @@ _TRUSTED_SHARE = 0.3  # of the largest visit count, below which a gradient avera
 class GrowthStatistics:
     """Sums over the steps since the last adjustment, for N anchors of K Gaussians."""
 
-    def __init__(self, anchors: int, slots: int, device: torch.device | None = None) -> None:
+    def __init__(self, anchors: int, slots: int, device: torch.device) -> None:
+        self._slots = slots
         self.gradient = torch.zeros(anchors * slots, device=device)
         self.gradient_count = torch.zeros(anchors * slots, device=device)
         self.opacity = torch.zeros(anchors, device=device)
         self.visits = torch.zeros(anchors, device=device)
 
-    def add(self, gaussians: Tensor, norms: Tensor, anchors: Tensor | None, opacity: Tensor) -> None:
-        """One step.
-
-        Args:
-            gaussians: the visible ones; norms: of their gradients.
-            anchors: those drawn, None for all; opacity: of each, the sum of its positive ones.
-        """
-        self.add_gradients(gaussians, norms)
-        if anchors is None:
+    def add(self, probe: Probe, opacities: Tensor, rows: Tensor | None) -> None:
+        """One step on a picture of the anchors `rows`, None for all, whose Gaussians have `opacities`."""
+        self.add_gradients(probe, rows)
+        opacity = opacities.detach().clamp_min(0).reshape(-1, self._slots).sum(dim=1)
+        if rows is None:
             self.opacity += opacity
             self.visits += 1
         else:
-            self.opacity.index_add_(0, anchors, opacity)
-            self.visits.index_add_(0, anchors, torch.ones_like(opacity))
+            self.opacity.index_add_(0, rows, opacity)
+            self.visits.index_add_(0, rows, torch.ones_like(opacity))
 
-    def add_gradients(self, gaussians: Tensor, norms: Tensor) -> None:
+    def add_gradients(self, probe: Probe, rows: Tensor | None = None) -> None:
         """Gradients of one step alone, where nothing is pruned by opacity."""
+        visible, norms, slots = probe.visible, probe.gradients.norm(dim=1), self._slots
+        gaussians = visible if rows is None else rows[visible // slots] * slots + visible % slots
         self.gradient.index_add_(0, gaussians, norms)
         self.gradient_count.index_add_(0, gaussians, torch.ones_like(norms))
 
     def mean_gradient(self) -> Tensor:
         """[N*K] mean gradient norm where it was seen often enough, else 0."""
-        enough = (_TRUSTED_SHARE * self.gradient_count.max()).clamp_min(1) if len(self.gradient_count) else 1
+        enough = (_TRUSTED_SHARE * self.gradient_count.max()).clamp_min(1)
         return torch.where(self.gradient_count >= enough, self.gradient / self.gradient_count.clamp_min(1), 0.0)
 
     def faint(self, opacity: float) -> Tensor:
         """[N] anchors seen often enough whose opacity, summed over slots and averaged over visits, is below a limit."""
-        often = self.visits >= (0.5 * self.visits.max()).clamp_min(1) if len(self.visits) else self.visits > 0
+        often = self.visits >= (0.5 * self.visits.max()).clamp_min(1)
         return often & (self.opacity < opacity * self.visits)
 
 

@@ -5,21 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from streamlod.core.render.raster import Raster
 from streamlod.core.train.config import KeyframeConfig
-from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.learned import LearnedField
 from streamlod.core.train.growth.gradient import GrowthStatistics, earned_extra_level, grow
 from streamlod.core.train.growth.new_anchors import first_values
-
-
-def count(statistics: GrowthStatistics, raster: Raster, splats: Splats, rows: Tensor | None, slots: int) -> None:
-    """Add what one picture shows of the anchors `rows` (all by default) of `slots` Gaussians each."""
-    visible = raster.probe.visible
-    norms = raster.probe.gradients.norm(dim=1)
-    opacity = splats.opacities.detach().clamp_min(0).reshape(-1, slots).sum(dim=1)
-    gaussians = visible if rows is None else rows[visible // slots] * slots + visible % slots
-    statistics.add(gaussians, norms, rows, opacity)
 
 
 def refine(
@@ -29,7 +18,7 @@ def refine(
     highest: int,
     most_anchors: int,
     generator: torch.Generator,
-    astray: Tensor | None = None,
+    astray: Tensor | None,
 ) -> None:
     """Add anchors to `learned` where gradients are large, remove what is nearly transparent.
 
@@ -37,7 +26,7 @@ def refine(
         statistics: of the steps since the last time.
         highest: finest level that may receive anchors.
         most_anchors: that there may be.
-        astray: [N] anchors to be removed whatever their opacity.
+        astray: [N] anchors to be removed whatever their opacity; None for none.
     """
     field = learned.settled
     gradient, threshold = statistics.mean_gradient(), config.growth_threshold

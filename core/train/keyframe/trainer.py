@@ -17,7 +17,7 @@ from streamlod.core.train.field.learned import LearnedField
 from streamlod.core.train.field.rounding import Precision, usual_precision
 from streamlod.core.train.growth.gradient import GrowthStatistics
 from streamlod.core.train.growth.near_space import NearSpace
-from streamlod.core.train.growth.refine import count, refine
+from streamlod.core.train.growth.refine import refine
 from streamlod.core.train.keyframe.drawing import ViewLoss
 from streamlod.core.train.keyframe.effect import anchor_effects, dispensable
 from streamlod.core.train.keyframe.order import LEVELS, in_order_of_effect
@@ -128,7 +128,7 @@ class KeyframeTrainer:
         self._learned.step(keyframe_rates(config, progress))
         self._exposure.centre()
         if cap is None:  # a coarse picture pulls hard wherever detail is missing, which says nothing about growing
-            count(self._statistics, raster, splats, rows, field.slots)
+            self._statistics.add(raster.probe, splats.opacities, rows)
             self._whole_loss = loss.detach()
         self._steps += 1
         if progress >= config.average_from:

@@ -6,7 +6,6 @@ numbers are sent, so all of them learn, rounded as they will be sent.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -48,8 +47,7 @@ class AddedAnchors:
         optimiser.join(leaves)
         self._parameters, self._names = optimiser.parameters, tuple(steps)
         self._steps = [steps[name].expand_as(begin[name]).contiguous() for name in self._names]
-        fixed = ("level", "voxel", "extra_level")
-        self._fixed = {name: torch.cat([getattr(known, name), start[name]]) for name in fixed}
+        self._fixed = {name: start[name] for name in ("level", "voxel", "extra_level")}
 
     @property
     def rows(self) -> dict[str, Tensor]:
@@ -66,17 +64,7 @@ class AddedAnchors:
 
     def behind(self, known: Field) -> Field:
         """The anchors that they are trained with, as these are now, and then they."""
-        rows = self.rows
-        return replace(
-            known,
-            level=self._fixed["level"],
-            voxel=self._fixed["voxel"],
-            extra_level=self._fixed["extra_level"],
-            position=torch.cat([known.position, rows["position"]]),
-            feature=torch.cat([known.feature, rows["feature"]]),
-            offset=torch.cat([known.offset, rows["offset"]]),
-            scaling=torch.cat([known.scaling, rows["scaling"]]),
-        )
+        return known.with_appended(self._fixed | self.rows)
 
     def rates(self, position_rate: float, decay: float) -> dict[str, float]:
         """How fast each of their parameters learns.

@@ -46,7 +46,7 @@ class TrainedAnchors:
         feature, offset, by_level = (torch.from_numpy(part).to(device) for part in steps)
         self._unit = UnitChange(feature, offset, by_level[self.base.level][:, None])
         self._steps_a_pixel = steps_a_pixel
-        self._median_steps_a_pixel = float(steps_a_pixel.median()) if len(rows) else 1.0  # asked of the device once
+        self._median_steps_a_pixel = float(steps_a_pixel.median())  # asked of the device once
         widths = {"latent": LATENTS, "position": 3}
         leaves = {name: torch.zeros(len(rows), width, device=device) for name, width in widths.items()}
         self.optimiser = RowAdam({name: value.requires_grad_() for name, value in leaves.items()}, memory)

@@ -29,7 +29,7 @@ def dropout_keep(
     config: KeyframeConfig,
     progress: float,
     generator: torch.Generator,
-    share: Tensor | None = None,
+    share: Tensor,
 ) -> Tensor:
     """[G] factors of the opacities: 0 for dropped Gaussians, 1 / (1 - r) for the others.
 
@@ -37,13 +37,11 @@ def dropout_keep(
 
     Args:
         level: [G] level of each Gaussian's anchor, below `levels`.
-        share: [G] of that rate, 1 by default.
+        share: [G] of that rate.
     """
     rates = config.dropout_base + config.dropout_slope * torch.arange(levels).float()
     rates = (rates * progress).clamp(max=config.dropout_cap)
-    rate = rates.to(level.device, non_blocking=True)[level]
-    if share is not None:
-        rate = rate * share
+    rate = rates.to(level.device, non_blocking=True)[level] * share
     kept = torch.rand(len(level), generator=generator, device=level.device) >= rate
     return kept / (1 - rate)
 

@@ -61,7 +61,7 @@ class _Growing(Hooks):
         if not self._is_due:
             return
         self._drawn.add(number)
-        self._statistics.add_gradients(raster.probe.visible, raster.probe.gradients.norm(dim=1))
+        self._statistics.add_gradients(raster.probe)
         if progress >= self._at and len(self._drawn) == len(training.numbers):
             self._is_due = False
             every, trained = self._seen.state.field, training.anchors.by_residuals()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from streamlod.core.render.raster import Probe
 from streamlod.core.train.config import KeyframeConfig
 from streamlod.core.train.growth.gradient import GrowthStatistics, grow
 from streamlod.core.train.optimise.adam import RowAdam
@@ -13,6 +14,7 @@ from tests.core.train.fields import random_field
 
 THRESHOLD = 1.0
 MANY = 10_000
+ALIKE = torch.ones(())
 
 
 def test_new_anchors_stand_on_free_nodes_near_the_gaussian_that_asked() -> None:
@@ -51,10 +53,11 @@ def test_of_more_than_may_grow_those_that_pull_hardest_do() -> None:
 
 
 def test_only_anchors_seen_often_are_called_faint() -> None:
-    statistics = GrowthStatistics(anchors=3, slots=2)
+    statistics, one = GrowthStatistics(3, 2, torch.device("cpu")), Probe(torch.tensor([0]))
+    one.record(torch.tensor([[0.6, 0.8]]))
     for _ in range(10):
-        statistics.add(torch.tensor([0]), torch.tensor([1.0]), torch.tensor([0, 1]), torch.tensor([1.0, 1e-4]))
-    statistics.add(torch.tensor([4]), torch.tensor([1.0]), torch.tensor([2]), torch.tensor([1e-4]))
+        statistics.add(one, torch.tensor([0.4, 0.6, 1e-4, -0.5]), torch.tensor([0, 1]))
+    statistics.add(one, torch.tensor([1e-4, -0.5]), torch.tensor([2]))
     assert statistics.faint(0.005).tolist() == [False, True, False]
     mean = statistics.mean_gradient()
     assert mean[0] == 1.0
@@ -104,10 +107,10 @@ def test_dropout_keeps_the_mean_and_grows_with_the_level() -> None:
     generator = torch.Generator().manual_seed(1)
     config = KeyframeConfig(dropout_base=0.1, dropout_slope=0.05)
     for level, rate in ((0, 0.1), (3, 0.25), (50, 0.5)):
-        keep = dropout_keep(torch.full((40_000,), level), 51, config, 1.0, generator)
+        keep = dropout_keep(torch.full((40_000,), level), 51, config, 1.0, generator, ALIKE)
         assert abs(float((keep == 0).float().mean()) - rate) < 0.01
         assert abs(float(keep.mean()) - 1) < 0.02
-    assert (dropout_keep(torch.full((100,), 3), 4, config, 0.0, generator) == 1).all()
+    assert (dropout_keep(torch.full((100,), 3), 4, config, 0.0, generator, ALIKE) == 1).all()
 
 
 def test_levels_unlock_in_shrinking_intervals() -> None:
