@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import os
+from collections.abc import Generator
 from contextlib import suppress
 from itertools import zip_longest
 from pathlib import Path
@@ -18,8 +20,12 @@ DEAR = ("browser", "cluster", "long")
 def pytest_configure(config: pytest.Config) -> None:
     """Tests have a pretend GPU. A process that only hands tests out to others would load torch for nothing."""
     if hasattr(config, "workerinput") or config.getoption("dist", "no") == "no":
+        import torch
+
         from tests.device import fixture, pretend
 
+        # no test has tensors of several machines: to load what compares them takes a second in each process
+        torch.testing._comparison._HAS_DTENSOR = False
         config.pluginmanager.register(fixture)
         if pretend.can_be_registered():
             pretend.register()  # torch counts its devices when it first differentiates, so it must be there before that
@@ -30,13 +36,25 @@ def pytest_xdist_auto_num_workers() -> int:
     return len(os.sched_getaffinity(0)) + 2
 
 
-def pytest_collection(session: pytest.Session) -> None:
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session: pytest.Session) -> Generator[None, object, object]:
+    """Modules and tests stay to the end: searches for garbage go past them, which took a twentieth of all the time."""
+    gc.disable()
+    try:
+        _read_modules(session.config)
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
+def _read_modules(config: pytest.Config) -> None:
     """Workers read the modules of tests in turn from other places, and so find most of them read by another one.
 
     In a fresh checkout it takes longer to rewrite their assertions than to collect them, and each would do it for all.
     """
-    worker = getattr(session.config, "workerinput", None)
-    if worker is None or session.config.args_source is not pytest.Config.ArgsSource.TESTPATHS:
+    worker = getattr(config, "workerinput", None)
+    if worker is None or config.args_source is not pytest.Config.ArgsSource.TESTPATHS:
         return
     paths = sorted(Path(__file__).parent.rglob("test_*.py"))
     first = len(paths) * int(worker["workerid"].removeprefix("gw")) // worker["workercount"]

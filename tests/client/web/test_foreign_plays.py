@@ -20,7 +20,7 @@ COUNT, SIZE = 300, (320, 180)
 
 
 def _ply(path: Path) -> None:
-    gsply = pytest.importorskip("gsply", reason="writes .ply files: pip install gsply")
+    gsply = pytest.importorskip("tests.codec.foreign", reason="writes .ply files: pip install gsply").gsply
     rng = np.random.default_rng(1)
     data = gsply.GSData(
         means=rng.normal(0, 1, (COUNT, 3)).astype(np.float32), scales=np.full((COUNT, 3), np.log(0.08), np.float32),

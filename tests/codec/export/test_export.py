@@ -6,7 +6,6 @@ import shutil
 import subprocess
 from pathlib import Path
 
-import gsply
 import numpy as np
 import pytest
 
@@ -15,6 +14,7 @@ from streamlod.core.arrays import Float32
 from streamlod.core.errors import InputError
 from streamlod.core.scene.expand import expand
 from streamlod.core.scene.gaussians import GaussianCloud
+from tests.codec.foreign import gsply
 from tests.codec.scenes import make_scene
 
 SPLAT_TRANSFORM = "@playcanvas/splat-transform@2.7.1"

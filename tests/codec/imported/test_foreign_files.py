@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-import gsply
 import numpy as np
 import pytest
 
@@ -16,6 +15,7 @@ from streamlod.codec.snapshots import AXES, FORMATS
 from streamlod.core.errors import InputError
 from streamlod.core.scene.expand import expand
 from streamlod.core.scene.gaussians import GaussianCloud
+from tests.codec.foreign import gsply
 from tests.codec.imported.clouds import compressed_ply, some_cloud
 from tests.codec.imported.test_imported import FAR, _assert_shows
 from tests.work import memory

@@ -8,7 +8,6 @@ import struct
 from dataclasses import replace
 from pathlib import Path
 
-import gsply
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -25,6 +24,7 @@ from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import expand
 from streamlod.core.scene.gaussians import GaussianCloud
 from streamlod.server.cli.commands import playable
+from tests.codec.foreign import gsply
 from tests.codec.imported.clouds import some_cloud
 from tests.work import memory
 

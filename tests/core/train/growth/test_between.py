@@ -106,7 +106,7 @@ def test_training_clears_the_way_of_who_goes_from_camera_to_camera() -> None:
 
     def hidden(weight: float) -> float:
         config = preset("live")
-        keyframe = replace(config.keyframe, steps=120, growth_from=0.65, hiding_weight=weight)
+        keyframe = replace(config.keyframe, steps=60, growth_from=0.65, hiding_weight=weight)
         trainer = Trainer(tuple(cameras), replace(config, keyframe=keyframe), spec.fps, "cpu")
         cloud = expand(trainer.keyframe(frame, merged(points, board)).scene, view.centre)
         parts = (cloud.means, cloud.quaternions, cloud.scales, cloud.opacities, cloud.colours)

@@ -86,13 +86,13 @@ def test_one_wrong_point_does_not_tell_where_the_scene_begins() -> None:
 
 @pytest.mark.parametrize("clearance", [0.0, 0.6])
 def test_training_removes_what_hangs_before_a_lens(clearance: float) -> None:
-    spec = SyntheticSpec(cameras=3, frames=1, width=96, height=56, seed=1)
+    spec = SyntheticSpec(cameras=3, frames=1, width=48, height=28, seed=1)
     clip = open_synthetic(spec)
     (frame,) = clip.frames()
     points = true_points(spec)
     nearest = near_space(points, clip.cameras).nearest[0]
     lens = clip.cameras[0]
-    middle = unproject(lens, np.array([[48.0, 28.0], [50.0, 30.0]]), np.full(2, 0.3 * nearest))
+    middle = unproject(lens, np.array([[24.0, 14.0], [25.0, 15.0]]), np.full(2, 0.3 * nearest))
     wrong = PointCloud(middle.astype(np.float32), np.ones((2, 3), np.float32))
     config = preset("live")
     short = {"steps": 20, "growth_interval": 5, "growth_from": 0.1, "effect_share": 0.0, "prune_opacity": 0.0}

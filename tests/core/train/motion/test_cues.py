@@ -24,7 +24,7 @@ def every_third(seen: Observation, posterior: float) -> Bool:
 
 def test_a_toy_cue_decides_what_is_trained(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(cues.CUES, "every third", cues.MotionCue(every_third, only_changed_views=False))
-    spec = SyntheticSpec(cameras=3, frames=2, width=96, height=56, seed=1)
+    spec = SyntheticSpec(cameras=3, frames=2, width=48, height=28, seed=1)
     clip = open_synthetic(spec)
     first, second = clip.frames()
     config = preset("live")
