@@ -24,7 +24,7 @@ from streamlod.core.train import TrainConfig, TrainedFrame, Trainer, preset
 from tests.codec.scenes import assert_same_state
 from tests.core.true_points import true_points
 
-SPEC = SyntheticSpec(cameras=5, frames=4, width=96, height=54, seed=1)
+SPEC = SyntheticSpec(cameras=5, frames=4, width=64, height=36, seed=1)
 BLACK = np.zeros(3, np.float32)
 
 

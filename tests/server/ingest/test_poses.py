@@ -70,8 +70,8 @@ def test_names_exchanged_are_told_while_the_first_frame_trains(tmp_path: Path) -
 
 
 def test_no_scene_is_trained_of_names_exchanged_that_are_swapped_within_a_minute(tmp_path: Path) -> None:
-    shown = [_exchanged(1, 2)] * 10 + [_filmed()] * 150
-    dataset = open_live(_definition(tmp_path, shown, 5, realtime=True))
+    shown = [_exchanged(1, 2)] * 2 + [_filmed()] * 60
+    dataset = open_live(_definition(tmp_path, shown, 2, realtime=True))
     with closing(dataset.frames()) as frames:
         first = next(frames)
         told = dataset.statistics()

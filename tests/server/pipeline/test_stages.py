@@ -37,7 +37,7 @@ from tests.core.true_points import true_points
 from tests.opus import read_sound
 from tests.server.brief import brief_training
 
-SPEC = SyntheticSpec(cameras=5, frames=4, width=64, height=36, seed=2)
+SPEC = SyntheticSpec(cameras=5, frames=4, width=32, height=18, seed=2)
 JOB = TrainJob(synthetic=asdict(SPEC), test=("cam00",), preset="live")  # with points by a sweep, which takes seconds
 
 
@@ -195,18 +195,19 @@ def test_previews_come_first_and_the_chain_holds(job: TrainJob) -> None:
 
 
 @pytest.mark.long
-def test_the_seed_reaches_the_training(job: TrainJob, trained: tuple[Path, list[EncodedFrame]]) -> None:
+@pytest.mark.usefixtures("trained")  # the first training of a process may have other threads than all after it
+def test_the_seed_reaches_the_training(job: TrainJob) -> None:
     """The same one gives the same keyframe to the byte, but for its identifier; another one another."""
 
     def content(packet: bytes) -> bytes:
         """What lies before and behind the identifier and the checksum over it (codec/FORMAT.md, section 2)."""
         return packet[:32] + packet[44:]
 
-    jobs = [replace(job, seed=seed, **FACTS) for seed in (0, 1)]
+    jobs = [replace(job, seed=seed) for seed in (0, 0, 1)]
     keyframes = [next(iter(train_stream(open_job(job)))).packets[0] for job in jobs]
-    assert content(keyframes[0]) == content(trained[1][0].packets[0])
-    assert keyframes[0] != trained[1][0].packets[0], "two runs cannot be mixed"
-    assert content(keyframes[1]) != content(keyframes[0])
+    assert content(keyframes[0]) == content(keyframes[1])
+    assert keyframes[0] != keyframes[1], "two runs cannot be mixed"
+    assert content(keyframes[2]) != content(keyframes[0])
 
 
 def test_a_restarted_run_goes_on_with_a_keyframe_of_the_old_state(

@@ -22,7 +22,7 @@ QUICK = replace(SPEC, fps=4.0)  # the same first frame, and motion that small pi
 def scene(footage: Footage) -> Scene:
     training, _ = next(footage.pairs())
     config = preset("balanced")
-    config = replace(config, keyframe=replace(config.keyframe, steps=60, growth_interval=8))
+    config = replace(config, keyframe=replace(config.keyframe, steps=24, growth_interval=8))
     return Trainer(footage.training.cameras, config, 30, "cpu").keyframe(training, footage.points).scene
 
 

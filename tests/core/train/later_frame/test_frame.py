@@ -23,7 +23,7 @@ from streamlod.core.train.progress import Stopwatch
 from tests.core.train.later_frame.begun import bare_state, beginning_of
 from tests.core.true_points import true_points
 
-SPEC = SyntheticSpec(cameras=3, frames=4, width=96, height=56, seed=1)
+SPEC = SyntheticSpec(cameras=3, frames=4, width=48, height=28, seed=1)
 CLIP = open_synthetic(SPEC)
 
 
@@ -104,8 +104,8 @@ def test_a_costly_part_is_left_out_where_there_is_no_time(first: Scene) -> None:
 
     costly = [part for part in preset("live").parts if isinstance(part, FramePart) and part.is_costly]
     state = bare_state(first)
-    blank = Views(CLIP.cameras, torch.zeros(3, 56, 96, 3), [0, 1, 2])
+    blank = Views(CLIP.cameras, torch.zeros(3, 28, 48, 3), [0, 1, 2])
     trained = np.arange(len(state.field)) < 5
-    seen = beginning_of(state, trained, blank, torch.ones(3, 56, 96, dtype=torch.bool))
+    seen = beginning_of(state, trained, blank, torch.ones(3, 28, 48, dtype=torch.bool))
     assert started(costly, seen, allows, Stopwatch()) == []
     assert asked == [part.name for part in costly] == ["flow_search"]
