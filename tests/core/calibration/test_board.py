@@ -101,7 +101,7 @@ def test_a_mirrored_board_is_named(picture: UInt8) -> None:
 def test_a_mirrored_board_is_named_though_some_of_its_pictures_are_misread(picture: UInt8) -> None:
     mirrored = np.ascontiguousarray(picture[:, ::-1])
     with pytest.raises(InputError, match="camera front: its pictures show the board mirrored"):
-        track_of(footage_of("front", [*[mirrored] * 9, *[picture] * 3]), BOARD)
+        track_of(footage_of("front", [*[mirrored] * 6, *[picture] * 2]), BOARD)
 
 
 def test_two_boards_in_one_picture_are_refused(picture: UInt8) -> None:

@@ -39,7 +39,7 @@ def look_up(camera: Camera, points: Float64) -> tuple[Bool, tuple[np.ndarray, np
 
 
 def test_equal_specs_give_equal_pictures_and_another_seed_gives_others() -> None:
-    noisy = replace(SPEC, noise=2.0)
+    noisy = replace(SPEC, width=80, height=45, noise=2.0)
     again = replace(noisy)
     assert np.array_equal(render_image(noisy, 7, 1), render_image(again, 7, 1))
     assert not np.array_equal(render_image(noisy, 7, 1), render_image(replace(noisy, seed=1), 7, 1))
@@ -118,13 +118,14 @@ def test_mirrors_change_although_they_do_not_move() -> None:
 
 
 def test_noise_and_exposure_are_as_asked() -> None:
-    clean = render_image(SPEC, 3, 2).astype(float)
-    noisy = render_image(replace(SPEC, noise=4.0), 3, 2).astype(float)
+    spec = replace(SPEC, width=80, height=45)
+    clean = render_image(spec, 3, 2).astype(float)
+    noisy = render_image(replace(spec, noise=4.0), 3, 2).astype(float)
     middling = (clean > 40) & (clean < 215)
     assert (noisy - clean)[middling].std() == pytest.approx(4.0, rel=0.05)
-    spread = replace(SPEC, exposure_spread=0.5)
-    assert np.array_equal(render_image(spread, 3, 0), render_image(SPEC, 3, 0))
-    ratios = [render_image(spread, 3, c).mean() / render_image(SPEC, 3, c).mean() for c in range(1, 5)]
+    spread = replace(spec, exposure_spread=0.5)
+    assert np.array_equal(render_image(spread, 3, 0), render_image(spec, 3, 0))
+    ratios = [render_image(spread, 3, c).mean() / render_image(spec, 3, c).mean() for c in range(1, 5)]
     assert max(ratios) / min(ratios) > 1.1
 
 
