@@ -18,10 +18,10 @@ from streamlod.client.recording import decode_frames, decode_version, versions
 from streamlod.client.viewing import record_stream
 from streamlod.client.viewpoints import CameraPath, along, camera_named, orbit, read_path, read_poses
 from streamlod.codec.export import bake, write_snapshot
-from streamlod.codec.snapshots import CLIP_SUFFIXES, FORMATS, PACKET_SUFFIXES
+from streamlod.codec.snapshots import CLIP_SUFFIXES, FORMATS, PACKET_SUFFIXES, formats_called
 from streamlod.core.arrays import Float64
 from streamlod.core.errors import BitstreamError, InputError
-from streamlod.core.files import write_text
+from streamlod.core.files import check_output, write_text
 from streamlod.core.progress_bar import progress_bar
 from streamlod.core.scene.anchors import Scene, SceneHeader
 
@@ -110,6 +110,8 @@ def evaluate(
     from streamlod.client.evaluation.measure.places import places_table
     from streamlod.client.evaluation.report.plots import frames_plot
 
+    if report is not None:
+        check_output(report)
     with progress_bar(unit="frame", desc="evaluate", delay=_BAR_DELAY_SECONDS) as bar:
 
         def tell(score: DecodedScore) -> None:
@@ -118,8 +120,8 @@ def evaluate(
 
         figures = evaluate_file(scene, data, test, images, layout, downscale, tell)
     if report is not None:
-        _write_text(report, json.dumps(figures, indent=1))
-        _write_text(report.with_suffix(".svg"), frames_plot(scene.stem, figures["per_frame"]))
+        write_text(report, json.dumps(figures, indent=1) + "\n")
+        write_text(report.with_suffix(".svg"), frames_plot(scene.stem, figures["per_frame"]) + "\n")
     where = "held-out cameras" if test else "cameras that trained, as --test names no other"
     return f"{_summary(figures['mean'], figures['frames'], where)}\n{places_table(figures['places'])}".rstrip()
 
@@ -133,13 +135,15 @@ def export(
         viewpoint: a camera's name, at which view-dependent colour is frozen, or "average" over the rig.
         out: the file, or the folder of a sequence; beside the scene by default.
     """
+    if out is not None and not sequence:
+        _check_suffix(out, file_format)
     if file_format in PACKET_SUFFIXES:
         if frame:
             raise InputError("--frame", f"{file_format} carries the whole recording")
         return _export_packets(scene, file_format, out)
     if file_format in CLIP_SUFFIXES:
         return _export_clip(
-            scene, frame, viewpoint, out or scene.with_name(f"{scene.stem}{CLIP_SUFFIXES[file_format]}")
+            scene, frame, viewpoint, out or scene.with_name(f"{scene.stem}{CLIP_SUFFIXES[file_format][0]}")
         )
     if file_format not in FORMATS:
         raise InputError(
@@ -147,7 +151,6 @@ def export(
         )
     suffix = FORMATS[file_format].suffix
     if not sequence:
-        _check_suffix(out, file_format)
         path = out or scene.with_name(f"{scene.stem}-{frame:05d}{suffix}")
         state = decode_version(scene, _existing(scene, frame))
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -227,11 +230,13 @@ def _existing(scene: Path, frame: int) -> int:
     return frame
 
 
-def _check_suffix(out: Path | None, file_format: str) -> None:
-    """Refuse a file that is called like one of another snapshot format."""
-    called = [each.name for each in FORMATS.values() if out is not None and out.suffix.lower() == each.suffix]
+def _check_suffix(out: Path, file_format: str) -> None:
+    """Refuse a file that is called like one of another format, or a clip that is not called like one of its own."""
+    called = formats_called(out)
     if called and file_format not in called:
         raise InputError("--out", f"{out} is called like {called[0]}; add --format {called[0]}")
+    if not called and file_format in CLIP_SUFFIXES:
+        raise InputError("--out", f"{out} must end in {' or '.join(CLIP_SUFFIXES[file_format])}")
 
 
 def _snapshot(path: Path, scene: Scene, viewpoint: str, file_format: str) -> str:
@@ -271,11 +276,3 @@ def _summary(mean: dict[str, Any], frames: int, where: str) -> str:
     lines = [f"{frames} frames, means over the {where}:"]
     lines += [f"  {label:26s}{form(mean[key]) if mean[key] is not None else 'unknown'}" for label, key, form in rows]
     return "\n".join(lines)
-
-
-def _write_text(path: Path, text: str) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(path, f"cannot be written ({error.strerror})") from error
-    write_text(path, text + "\n")

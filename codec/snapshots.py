@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from streamlod.core.errors import InputError
+from streamlod.core.files import check_output
+
 if TYPE_CHECKING:  # the command line reads the table, and loads no arrays for it
     from streamlod.core.scene.gaussians import GaussianCloud
 
@@ -84,8 +87,27 @@ FORMATS = {
 
 
 AXES = ("y", "-y", "z", "-z", "x", "-x")  # any of which may point up in a file
-CLIP_SUFFIXES = {"4dgs": ".4dgs", "usd": ".usdc"}  # of files that hold a whole clip, by format
+CLIP_SUFFIXES = {"4dgs": (".4dgs",), "usd": (".usdc", ".usda", ".usd")}  # of whole clips by format; the first is usual
 PACKET_SUFFIXES = {"mp4": ".mp4", "hls": ""}  # of files, or a folder, that carry the packets themselves
+
+
+def formats_called(path: Path) -> list[str]:
+    """Names of the formats whose files are called so; none for a `.slod` file and for names of no known suffix."""
+    suffixes = {each.name: (each.suffix,) for each in FORMATS.values()} | CLIP_SUFFIXES
+    suffixes |= {name: (suffix,) for name, suffix in PACKET_SUFFIXES.items() if suffix}
+    return [name for name, known in suffixes.items() if path.suffix.lower() in known]
+
+
+def check_slod_output(path: Path) -> None:
+    """Refuse a place where no `.slod` file can be written, or that is called like a file of another format.
+
+    Raises:
+        InputError: so it is; says what to do.
+    """
+    if called := formats_called(path):
+        fault = f"is called like {called[0]}; name a .slod file, of which `streamlod export --format` makes that"
+        raise InputError(path, fault)
+    check_output(path)
 
 
 def format_of(path: Path) -> SnapshotFormat | None:

@@ -123,7 +123,7 @@ def _files(source: Path) -> list[Path]:
     if source.is_file() and format_of(source) is not None:
         return [source]
     suffixes = [each.suffix for each in FORMATS.values() if each.decode is not None]
-    known = ", ".join(dict.fromkeys((*suffixes, CLIP_SUFFIXES["4dgs"])))
+    known = ", ".join(dict.fromkeys((*suffixes, *CLIP_SUFFIXES["4dgs"])))
     if not source.is_dir():
         other = "of other programs' files, splat-transform (npm) makes a .ply"
         raise InputError(source, f"is no file of Gaussians ({known}) and no folder of them; {other}")

@@ -38,6 +38,8 @@ def linspace_split(names: Sequence[str], views: int | None, test: Sequence[str] 
     """
     _check_known(test, names, "--test")
     remaining = in_numeric_order(name for name in names if name not in test)
+    if not remaining:
+        raise InputError("--test", f"holds out {listed(names)}, which are all cameras; leave some to train")
     views = len(remaining) if views is None else views
     if not 1 <= views <= len(remaining):
         raise InputError("--views", f"{views} training cameras asked for, of {len(remaining)} that are not held out")

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from streamlod.core.files import check_output
+from streamlod.codec.snapshots import check_slod_output
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.sound import AUTO
 from streamlod.server.pipeline.stages import EncodedFrame, open_job, train_clip
@@ -44,7 +44,7 @@ def train_recording(
         TrainingCutShort: a fault after the first frame; the file is whole and holds the frames before it.
     """
     begin, count, path = time.perf_counter(), 0, Path(out)
-    check_output(path)
+    check_slod_output(path)
 
     def counted(frame: EncodedFrame) -> None:
         nonlocal count

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from streamlod.client.evaluation.options import STUDY_OPTIONS, TRADEOFF_OPTIONS, StudyOptions, TradeoffOptions
+from streamlod.codec.snapshots import check_slod_output
 from streamlod.core.files import check_output
 from streamlod.server.cli.app import app
 from streamlod.server.cli.given import require
@@ -36,7 +37,8 @@ def train(
 
     require(data)
     job = TrainJob(data=data, **options)
-    for path in (out, json, trace):
+    check_slod_output(out)
+    for path in (json, trace):
         if path is not None:
             check_output(path)
     check_cameras(job)

@@ -42,6 +42,8 @@ def test_requests_that_cannot_be_met() -> None:
     for views in (0, 13):
         with pytest.raises(InputError, match=f"{views} training cameras asked for, of 12 that are not held out"):
             linspace_split(MEET_ROOM, views, ["cam_0"])
+    with pytest.raises(InputError, match=r"--test: holds out cam_0, .* all cameras; leave some to train"):
+        linspace_split(MEET_ROOM, None, MEET_ROOM)
 
 
 def test_split_file(tmp_path: Path) -> None:

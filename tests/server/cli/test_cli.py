@@ -228,7 +228,23 @@ def test_info_and_export(run: Run, tmp_path: Path, scene: Path) -> None:
     assert "as seen from cam00" in done.stdout
     assert (tmp_path / "s.spz").read_bytes()[:2] == b"\x1f\x8b"
     assert_refused(run("export", scene, "--out", tmp_path / "t.spz"), "is called like spz; add --format spz")
-    assert not (tmp_path / "t.spz").exists()
+    for name, form, fault in (
+        ("t.ply", "4dgs", "is called like ply; add --format ply"),
+        ("t.mp4", "ply", "is called like mp4; add --format mp4"),
+        ("t.obj", "usd", "must end in .usdc or .usda or .usd"),
+    ):
+        assert_refused(run("export", scene, "--format", form, "--out", tmp_path / name), fault)
+    assert not any((tmp_path / name).exists() for name in ("t.ply", "t.mp4", "t.obj"))
+
+
+def test_places_that_cannot_be_written_are_refused_before_the_work(
+    run: Run, tmp_path: Path, scene: Path, clip: Path
+) -> None:
+    assert_refused(run("train", clip, "--out", tmp_path / "film.mp4"), "film.mp4", "`streamlod export --format`")
+    done = run("evaluate", scene, clip, "--json", tmp_path)
+    assert_refused(done, tmp_path, "is a folder")
+    assert "dB" not in done.stderr  # of the bar that shows what was measured
+    assert not (tmp_path / "film.mp4").exists()
 
 
 def test_a_port_in_use_is_one_sentence(run: Run, scene: Path) -> None:

@@ -32,8 +32,8 @@ def test_text_is_a_path_and_a_list_names_cameras(tmp_path: Path) -> None:
 
 def test_a_place_that_cannot_be_written_is_refused_before_training(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    for out in (tmp_path, tmp_path / "file" / "a.slod"):
-        with pytest.raises(InputError, match=r"is a folder|cannot be written"):
+    for out in (tmp_path, tmp_path / "file" / "a.slod", tmp_path / "a.mp4"):
+        with pytest.raises(InputError, match=r"is a folder|cannot be written|is called like mp4"):
             train_recording(job(), out, lambda frame: pytest.fail("a frame was trained"))
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
