@@ -266,13 +266,9 @@ class Trainer:
         if self._config.model.exposure and self._refit_exposure:
             self._exposure = fitted(pictures, views.targets, unknown)
             self._refit_exposure = False
-        pictures = self._as_filmed(pictures)
+        pictures = torch.stack([self._exposure.apply(picture, number) for number, picture in enumerate(pictures)])
         references, shown = _where_known(pictures, known.references), _where_known(pictures, known.shown)
         return replace(state, known=KnownPictures(references, _where_known(known.filmed, references), shown)), unknown
-
-    def _as_filmed(self, pictures: Tensor) -> Tensor:
-        """`pictures` [C,H,W,3] with the cameras' exposures."""
-        return torch.stack([self._exposure.apply(picture, number) for number, picture in enumerate(pictures)])
 
     def _require(self) -> State:
         if self._state is None:

@@ -38,12 +38,8 @@ class Exposure:
         return torch.addcmul(offset, image.flatten(1), gain).view(image.shape)
 
     def before(self, splats: Splats, camera: int) -> Splats:
-        """`splats` whose picture is the one that `apply` makes of that of `splats`; over `behind`."""
+        """`splats` whose picture over `offset` is the one that `apply` makes of that of `splats` over black."""
         return replace(splats, colours=torch.addcmul(self.offset[camera], splats.colours, self.gain[camera]))
-
-    def behind(self, background: Tensor, camera: int) -> Tensor:
-        """The background [3] of such a picture."""
-        return torch.addcmul(self.offset[camera], background, self.gain[camera])
 
     def centre(self) -> None:
         """Bring the mean over the cameras back to gain 1 and offset 0."""
@@ -76,13 +72,8 @@ class _Applied(torch.autograd.Function):
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
         image, gain = ctx.saved_tensors
         by_gain, by_offset = (upstream * image).sum(dim=(0, 1)), upstream.sum(dim=(0, 1))
-        return (upstream * gain[ctx.camera], *_at_camera(by_gain, by_offset, ctx.camera, len(gain)), None)
-
-
-def _at_camera(gain: Tensor, offset: Tensor, camera: int, cameras: int) -> tuple[Tensor, Tensor]:
-    """[C,3] `gain` and `offset` [3] at number `camera`, zero at the others."""
-    here = (torch.arange(cameras, device=gain.device) == camera)[:, None]
-    return here * gain, here * offset
+        here = (torch.arange(len(gain), device=gain.device) == ctx.camera)[:, None]
+        return upstream * gain[ctx.camera], here * by_gain, here * by_offset, None
 
 
 def neutral(cameras: int, device: str | torch.device = "cpu") -> Exposure:

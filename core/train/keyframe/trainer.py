@@ -24,7 +24,7 @@ from streamlod.core.train.keyframe.order import LEVELS, in_order_of_effect
 from streamlod.core.train.keyframe.precision import sensitivity, signed_gradients, tuned_precision
 from streamlod.core.train.keyframe.relative_error import RelativeErrors
 from streamlod.core.train.keyframe.support import price_share, support, view_support
-from streamlod.core.train.optimise.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
+from streamlod.core.train.optimise.schedule import dropout_keep, keyframe_rates, unlocked_level, view_order
 from streamlod.core.train.pictures.views import Views
 
 _LEAST_CONTRAST = 0.05  # share of the usual one: below it, pictures hold hardly more than noise
@@ -58,7 +58,7 @@ class KeyframeTrainer:
         self._generator = torch.Generator(device).manual_seed(config.seed)
         self._chances = torch.Generator().manual_seed(config.seed)  # what the host decides
         self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
-        self._order = ViewOrder(views.usable, self._chances)
+        self._order = view_order(views.usable, self._chances)
         self._exposure = neutral(len(views.cameras), device) if exposure is None else exposure.frozen()
         self._whole = views
         self._sizes = views.sizes() if self._config.half_size_until > 0 else [views]
@@ -108,7 +108,7 @@ class KeyframeTrainer:
         field = self._learned.live
         self._highest = unlocked_level(field.octree.levels, config, progress)
         self._view_loss = replace(self._view_loss, views=self._views_at(progress))
-        number = self._order.next()
+        number = next(self._order)
         cap = self._random_cap()
         rows = self._drawn_rows(field, number, self._highest if cap is None else cap)
         rounded = progress >= config.rounding_from
@@ -158,7 +158,7 @@ class KeyframeTrainer:
         if self._space is not None and self._config.hiding_weight > 0:
             with torch.no_grad():
                 splats = field.decode(self._centres[0])
-            hidden = self._space.between.hidden(splats, self._config.clearance)
+            hidden = self._space.hidden(splats, self._config.clearance)
             self._hiding = self._config.hiding_weight * hidden.view(len(field), -1)
 
     def _random_cap(self) -> int | None:

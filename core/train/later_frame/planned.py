@@ -21,14 +21,14 @@ class PlannedViews:
 
     Attributes:
         pictures: what the cameras should show, and what they showed before.
-        static: Gaussians that are drawn but not trained, by camera. backgrounds: [3] behind them, by camera.
+        static: Gaussians that are drawn but not trained, by camera. backgrounds: [C,3] what each films of nothing.
         backend: of the rasteriser.
         caches: plans so far, by camera. weights: [H,W,3] of absolute errors so far, by camera.
     """
 
     pictures: Comparison
     static: Sequence[Splats]
-    backgrounds: Sequence[Tensor]
+    backgrounds: Tensor
     backend: Backend
     caches: dict[int, TileCache] = field(default_factory=dict)
     weights: dict[int, Tensor] = field(default_factory=dict)

@@ -28,7 +28,7 @@ from streamlod.core.train.later_frame.planned import PlannedViews
 from streamlod.core.train.later_frame.steps import steps_of
 from streamlod.core.train.later_frame.update import IntegerUpdate, no_update
 from streamlod.core.train.loss.photometric import photometric_loss
-from streamlod.core.train.optimise.schedule import ViewOrder
+from streamlod.core.train.optimise.schedule import view_order
 
 _PREPARATION = 0.3  # of a frame's training time, after which no more is planned or searched
 _TRANSPARENT = 1 / 255  # opacity below which nothing is drawn
@@ -77,15 +77,13 @@ class FrameTraining:
         self.anchors = TrainedAnchors(state, seen.rows, pixels, memory)
         self._hooks, self._all, self._exposure, self._useful = hooks, field, exposure, useful
         self._shown = state.known.shown
-        black = torch.zeros(3, device=device)
-        backgrounds = [exposure.behind(black, number) for number in range(len(views.cameras))]
         self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
         static_splats = _static_splats(field, torch.nonzero(others)[:, 0], self._centres)
         static = [exposure.before(splats, number) for number, splats in enumerate(static_splats)]
-        self._whole = PlannedViews(seen.pictures, static, backgrounds, backend)
+        self._whole = PlannedViews(seen.pictures, static, exposure.offset, backend)
         self._half: PlannedViews | None = None
         if seen.coarse is not seen.pictures:
-            self._half = PlannedViews(seen.coarse, static, backgrounds, backend)
+            self._half = PlannedViews(seen.coarse, static, exposure.offset, backend)
         self.numbers = list[int]()
 
     def run(
@@ -107,11 +105,11 @@ class FrameTraining:
         if pace(0) <= _PREPARATION:
             for hooks in self._hooks:
                 hooks.ready(self)
-        order, losses = ViewOrder(self.numbers, generator), list[Tensor]()
+        order, losses = view_order(self.numbers, generator), list[Tensor]()
         while (progress := pace(len(losses))) < 1:
             if progress >= config.half_size_until:
                 self._half = None
-            number = order.next()
+            number = next(order)
             loss, raster = self._step(number, config, config.final_rate**progress)
             losses.append(loss)
             if progress >= config.average_from:

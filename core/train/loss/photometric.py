@@ -73,7 +73,8 @@ def photometric_planes(
     counted = inside
     if pixel_weights is not None:
         counted = pixel_weights if inside is None else inside * pixel_weights
-    blurred = _blurred(_moments(image, target))
+    a, b = image.permute(2, 0, 1), target.permute(2, 0, 1)
+    blurred = _blurred(torch.stack([a, b, a * a, b * b, a * b]))
     losses, slopes = _similarity(blurred, image, target, weight, near, counted)
     return losses.mean(), _slope(image, target, _blurred(slopes), inside, counted, weight)
 
@@ -110,17 +111,11 @@ def blurred_moments(pictures: Tensor) -> tuple[Tensor, Tensor]:
     return mean, square
 
 
-def _moments(image: Tensor, target: Tensor) -> Tensor:
-    """[5,3,H,W] what SSIM blurs: both pictures, their squares and their product."""
-    a, b = image.permute(2, 0, 1), target.permute(2, 0, 1)
-    return torch.stack([a, b, a * a, b * b, a * b])
-
-
 def _similarity(
     blurred: Tensor, image: Tensor, target: Tensor, weight: float, near: Tensor | None, counted: Tensor | None
 ) -> tuple[Tensor, Tensor]:
-    """The loss of each pixel [3,H,W], of blurred moments [5,3,H,W] and the pictures; and SSIM's derivatives [3,3,H,W]
-    by the blurred image, its blurred square and the blurred product.
+    """The loss of each pixel [3,H,W], of the pictures and of what SSIM blurs, after that [5,3,H,W]; and SSIM's
+    derivatives [3,3,H,W] by the blurred image, its blurred square and the blurred product.
 
     SSIM is l s / (m v), its factors as named in brackets below (Wang et al. 2004, equation 13); written to launch few
     kernels.

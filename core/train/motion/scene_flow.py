@@ -13,13 +13,15 @@ _DOUBT = 0.5  # pixels of disagreement with the other cameras, at which a camera
 _STIFFNESS = 0.03  # of the mean certainty: what no camera sees, motion along the only line of sight, stays small
 
 
-def scene_flow(position: Tensor, found: AnchorFlow, cameras: tuple[Camera, ...]) -> Tensor:
-    """[n,3] world units that anchors at `position` [n,3] went: least squares over the cameras, wrong flows doubted.
+def scene_flow(jacobian: Tensor, found: AnchorFlow) -> Tensor:
+    """[n,3] world units that anchors went: least squares over the cameras, wrong flows doubted.
 
     Zero for anchors that no camera sees go anywhere.
+
+    Args:
+        jacobian: [C,n,2,3] as `projection_jacobians` has it.
     """
-    jacobian = projection_jacobians(position, cameras)
-    weight, motion = found.seen, torch.zeros_like(position)
+    weight, motion = found.seen, jacobian.new_zeros(jacobian.shape[1], 3)
     for _ in range(_ROUNDS):
         weighted = weight[..., None, None] * jacobian
         certainty = torch.einsum("cnij,cnik->njk", weighted, jacobian)
@@ -30,10 +32,9 @@ def scene_flow(position: Tensor, found: AnchorFlow, cameras: tuple[Camera, ...])
     return motion
 
 
-def flow_error(motion: Tensor, position: Tensor, found: AnchorFlow, cameras: tuple[Camera, ...]) -> Tensor:
-    """[n] pixels by which `motion` [n,3] of anchors at `position` [n,3] misses their flow, a mean over the cameras."""
-    distances = _distances(motion, projection_jacobians(position, cameras), found)
-    return (distances * found.seen).sum(dim=0) / found.seen.sum(dim=0).clamp_min(1e-6)
+def flow_error(motion: Tensor, jacobian: Tensor, found: AnchorFlow) -> Tensor:
+    """[n] pixels by which `motion` [n,3] of anchors misses their flow, a mean over the cameras."""
+    return (_distances(motion, jacobian, found) * found.seen).sum(dim=0) / found.seen.sum(dim=0).clamp_min(1e-6)
 
 
 def projection_jacobians(position: Tensor, cameras: tuple[Camera, ...]) -> Tensor:

@@ -32,13 +32,13 @@ class RowAdam:
         self._moments: dict[str, list[Tensor]] = {}
         self._joined: dict[str, int] = {}  # steps that had been taken before
         self._steps, self._memory = 0, memory
-        self._broken: list[Tensor] = []
+        self._broken: Tensor | int = 0
         self.join(parameters)
 
     @property
     def broken(self) -> int:
         """Gradient entries so far that were not finite and were taken as zero."""
-        return sum(int(count) for count in self._broken)
+        return int(self._broken)
 
     def join(self, parameters: dict[str, Tensor]) -> None:
         """Further parameters, of which no step has been taken yet."""
@@ -64,7 +64,7 @@ class RowAdam:
             corrections = [1 - _BETA2 ** steps[name] for name in due]
             # counted on the device and read at the end: asking here would stall a GPU at every step
             with torch.no_grad():
-                self._count_broken(update(values, gradients, moments, scaled, corrections, self._memory))
+                self._broken += update(values, gradients, moments, scaled, corrections, self._memory)
 
     def replace_rows(self, kept: Tensor, added: dict[str, Tensor]) -> None:
         """Keep the rows `kept` of every parameter named in `added` and append its new rows, with fresh moments."""
@@ -72,12 +72,6 @@ class RowAdam:
             value = torch.cat([self.parameters[name].detach()[kept], rows]).requires_grad_()
             self._moments[name] = [torch.cat([m[kept], torch.zeros_like(rows)]) for m in self._moments[name]]
             self.parameters[name] = value
-
-    def _count_broken(self, count: Tensor) -> None:
-        if self._broken:
-            self._broken[0] += count
-        else:
-            self._broken.append(count)
 
 
 def update(

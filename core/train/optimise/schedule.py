@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -57,17 +59,7 @@ def unlocked_level(levels: int, config: KeyframeConfig, progress: float) -> int:
     return first + int(np.searchsorted(times, progress, side="right"))
 
 
-class ViewOrder:
-    """Endless random epochs over the cameras `views`."""
-
-    def __init__(self, views: list[int], generator: torch.Generator) -> None:
-        self._views = views
-        self._generator = generator
-        self._left: list[int] = []
-
-    def next(self) -> int:
-        """The next camera; every camera once before any comes again."""
-        if not self._left:
-            order = torch.randperm(len(self._views), generator=self._generator).tolist()
-            self._left = [self._views[i] for i in order]
-        return self._left.pop()
+def view_order(views: list[int], generator: torch.Generator) -> Iterator[int]:
+    """Endless random epochs over the cameras `views`: every one once before any comes again."""
+    while True:
+        yield from (views[i] for i in reversed(torch.randperm(len(views), generator=generator).tolist()))

@@ -30,7 +30,7 @@ from streamlod.core.train.keyframe.random_background import over_colour
 from streamlod.core.train.loss.photometric import photometric_loss
 from streamlod.core.train.optimise.adam import RowAdam
 from streamlod.core.train.optimise.mean import MeanOfSteps
-from streamlod.core.train.optimise.schedule import ViewOrder
+from streamlod.core.train.optimise.schedule import view_order
 from streamlod.core.train.pictures.views import Views
 
 _COLOUR_RATE = 0.0025 * 2.0
@@ -118,7 +118,7 @@ class PlainGaussians:
         config = self._config
         self._whole, self._views = views, views.halved() if config.half_size_until > 0 else views
         self._generator = torch.Generator().manual_seed(seed)
-        self._order = ViewOrder(views.usable, self._generator)
+        self._order = view_order(views.usable, self._generator)
         centres = np.stack([camera.centre for camera in views.cameras])
         self._extent = 1.1 * float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
         points = thinned(points, views.cameras, config.cell_pixels)
@@ -189,7 +189,7 @@ class PlainGaussians:
         )
 
     def _step(self, progress: float) -> None:
-        config, number, parameters = self._config, self._order.next(), self._optimiser.parameters
+        config, number, parameters = self._config, next(self._order), self._optimiser.parameters
         raster = self._render(parameters, self._views.cameras[number], torch.zeros(3))
         image = raster.image
         if config.random_background:

@@ -19,7 +19,7 @@ from streamlod.core.train.later_frame.part import FramePart
 from streamlod.core.train.later_frame.state import State
 from streamlod.core.train.later_frame.training import FrameTraining, Hooks
 from streamlod.core.train.motion.optical_flow import anchor_flow
-from streamlod.core.train.motion.scene_flow import flow_error, scene_flow
+from streamlod.core.train.motion.scene_flow import flow_error, projection_jacobians, scene_flow
 from streamlod.core.train.setting import left_out, setting
 
 _LEAST_GAIN = 0.2  # pixels by which a guess must fit the flow better than rest
@@ -67,11 +67,11 @@ def guessed_positions(state: State, rows: Tensor, pictures: Comparison, least: f
         return guess
     found, position = found.of(going), state.field.position[rows[going]]
     steps = torch.from_numpy(state.scene.header.position_steps).to(position)
-    cameras = pictures.views.cameras
     step = steps[state.field.level[rows[going]]][:, None]
-    motion = scene_flow(position, found, cameras)
-    at_rest = flow_error(torch.zeros_like(motion), position, found, cameras)
-    better = at_rest - flow_error(motion, position, found, cameras) > _LEAST_GAIN
+    jacobian = projection_jacobians(position, pictures.views.cameras)
+    motion = scene_flow(jacobian, found)
+    at_rest = flow_error(torch.zeros_like(motion), jacobian, found)
+    better = at_rest - flow_error(motion, jacobian, found) > _LEAST_GAIN
     guess[going] = torch.where(better[:, None], (motion / step).clamp(-_MAX_STEPS, _MAX_STEPS), 0.0)
     return guess
 

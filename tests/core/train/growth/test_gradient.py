@@ -10,7 +10,7 @@ from streamlod.core.render.raster import Probe
 from streamlod.core.train.config import KeyframeConfig
 from streamlod.core.train.growth.gradient import GrowthStatistics, grow
 from streamlod.core.train.optimise.adam import RowAdam
-from streamlod.core.train.optimise.schedule import ViewOrder, dropout_keep, unlocked_level
+from streamlod.core.train.optimise.schedule import dropout_keep, unlocked_level, view_order
 from tests.core.train.fields import random_field
 
 THRESHOLD = 1.0
@@ -128,6 +128,6 @@ def test_levels_unlock_in_shrinking_intervals() -> None:
 
 
 def test_every_view_comes_once_an_epoch() -> None:
-    order = ViewOrder([3, 5, 7], torch.Generator().manual_seed(2))
+    order = view_order([3, 5, 7], torch.Generator().manual_seed(2))
     for _ in range(4):
-        assert sorted(order.next() for _ in range(3)) == [3, 5, 7]
+        assert sorted(next(order) for _ in range(3)) == [3, 5, 7]

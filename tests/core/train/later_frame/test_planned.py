@@ -39,7 +39,7 @@ def planned(state: State, targets: Tensor, shown: Tensor | None) -> tuple[Planne
     moving, still = (state.field.decode(CENTRE, torch.nonzero(rows)[:, 0]).detached() for rows in (trained, ~trained))
     known = KnownPictures(targets, targets, torch.full_like(targets, torch.nan) if shown is None else shown)
     pictures = Comparison(Views((CAMERA,), targets, [0]), masks, known)
-    return PlannedViews(pictures.halved(), [still], [torch.zeros(3)], "cpu"), moving
+    return PlannedViews(pictures.halved(), [still], torch.zeros(1, 3), "cpu"), moving
 
 
 def picture_of(state: State) -> Tensor:

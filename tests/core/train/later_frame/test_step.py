@@ -24,7 +24,6 @@ from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import scene_of
 from streamlod.core.train.later_frame.state import State
 from streamlod.core.train.later_frame.training import FrameTraining
-from streamlod.core.train.optimise.schedule import ViewOrder
 from streamlod.core.train.pictures.views import Views
 from tests.core.train.fields import random_field
 from tests.core.train.later_frame.begun import bare_state, training_of
@@ -111,7 +110,7 @@ def on_meta(value: Any) -> Any:
         return type(value)(on_meta(item) for item in value)
     if is_dataclass(value) and not isinstance(value, type):
         return replace(value, **{field.name: on_meta(getattr(value, field.name)) for field in fields(value)})
-    if type(value).__module__.startswith("streamlod.core.train") and not isinstance(value, ViewOrder):
+    if type(value).__module__.startswith("streamlod.core.train"):
         for name, item in vars(value).items():
             setattr(value, name, on_meta(item))
     return value

@@ -15,7 +15,7 @@ from streamlod.core.scene.expand import expand
 from streamlod.core.synthetic import SyntheticSpec, render_view
 from streamlod.core.train import Trainer, preset
 from streamlod.core.train.field.decode import Splats
-from streamlod.core.train.growth.between import scene_begins, views_between
+from streamlod.core.train.growth.near_space import near_space, scene_begins
 from tests.core.true_points import true_points
 
 FOCAL, WIDTH, HEIGHT = 40.0, 64, 48
@@ -42,14 +42,14 @@ def splats(*means: tuple[float, float, float], scale: float = 0.05) -> Splats:
 
 
 def test_what_hangs_before_the_half_way_view_hides_its_ellipse_of_the_picture() -> None:
-    hidden = views_between(WALL, CAMERAS).hidden(splats((0.0, 1.0, 0.0)), 0.6)
+    hidden = near_space(WALL, CAMERAS).hidden(splats((0.0, 1.0, 0.0)), 0.6)
     assert hidden.item() == pytest.approx(np.pi * (0.05 * FOCAL / 1.0) ** 2 / (WIDTH * HEIGHT), rel=1e-5)
 
 
 def test_a_flat_one_hides_by_its_two_longer_sides_and_none_more_than_the_picture() -> None:
     flat = replace(splats((0.0, 1.0, 0.0)), scales=torch.tensor([[0.001, 0.1, 0.05]]))
     round_one = splats((0.0, 1.0, 0.0))
-    space = views_between(WALL, CAMERAS)
+    space = near_space(WALL, CAMERAS)
     assert space.hidden(flat, 0.6).item() == pytest.approx(2 * space.hidden(round_one, 0.6).item(), rel=1e-5)
     assert space.hidden(splats((0.0, 1.0, 0.0), scale=50.0), 0.6).item() == 1.0
 
@@ -68,21 +68,21 @@ def test_a_flat_one_hides_by_its_two_longer_sides_and_none_more_than_the_picture
 def test_only_what_reaches_into_a_picture_before_the_scene_hides(
     mean: tuple[float, float, float], scale: float, hides: bool
 ) -> None:
-    half_way = views_between(WALL, CAMERAS)
-    half_way = replace(half_way, views=half_way.views[-1:], begins=half_way.begins[-1:])
+    half_way = near_space(WALL, CAMERAS)
+    half_way = replace(half_way, between=half_way.between[-1:], begins=half_way.begins[-1:])
     assert (half_way.hidden(splats(mean, scale=scale), 0.6).item() > 0) == hides
 
 
 def test_where_no_first_point_is_seen_nothing_hides() -> None:
     away = replace(WALL, positions=WALL.positions * np.float32([1, -1, 1]))
-    space = views_between(away, CAMERAS)
+    space = near_space(away, CAMERAS)
     assert set(space.begins) == {0.0}
     assert not space.hidden(splats((0.0, 1.0, 0.0), (0.0, 0.1, 0.0)), 0.6).any()
 
 
 def test_one_wrong_point_of_a_hundred_does_not_tell_where_the_scene_begins() -> None:
     wrong = np.concatenate([WALL.positions, np.float32([[0.0, 0.3, 0.0], [0.1, 0.4, 0.0]])]).astype(np.float64)
-    view = views_between(WALL, CAMERAS).views[-1]
+    view = near_space(WALL, CAMERAS).between[-1]
     assert scene_begins(wrong, view, 0.02) == pytest.approx(scene_begins(WALL.positions.astype(np.float64), view, 0.02))
 
 
@@ -98,8 +98,8 @@ def test_training_clears_the_way_of_who_goes_from_camera_to_camera() -> None:
     pictures = np.stack([render_view(spec, 0, one) for one in cameras])
     frame = FrameSet(0, 0, pictures, np.ones(3, np.bool_))
     points = true_points(spec)
-    between = views_between(points, tuple(cameras))
-    view = between.views[-1]
+    space = near_space(points, tuple(cameras))
+    view = space.between[-1]
     ahead = view.centre + 0.3 * view.world_to_camera[2, :3]
     rng = np.random.default_rng(0)
     board = PointCloud((ahead + rng.uniform(-0.1, 0.1, (30, 3))).astype(np.float32), np.ones((30, 3), np.float32))
@@ -111,7 +111,7 @@ def test_training_clears_the_way_of_who_goes_from_camera_to_camera() -> None:
         cloud = expand(trainer.keyframe(frame, merged(points, board)).scene, view.centre)
         parts = (cloud.means, cloud.quaternions, cloud.scales, cloud.opacities, cloud.colours)
         drawn = Splats(*(torch.from_numpy(part) for part in parts))
-        return float((between.hidden(drawn, config.keyframe.clearance) * drawn.opacities.clamp(min=0)).sum())
+        return float((space.hidden(drawn, config.keyframe.clearance) * drawn.opacities.clamp(min=0)).sum())
 
     without, priced = hidden(0.0), hidden(0.01)
     assert without > 0.02
