@@ -9,7 +9,7 @@ import pytest
 
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.worker import process
-from streamlod.server.worker.cluster import actor, driver
+from streamlod.server.worker.cluster import actor, driver, placing
 
 
 class PlayingActor(actor.WorkerActor):
@@ -43,13 +43,19 @@ def play_on_ray(*arguments: Any) -> None:
     _run(PlayingActor, arguments)
 
 
+def play_on_ray_or_not(*arguments: Any) -> None:
+    """The same, which gives up to find room as soon as a server does."""
+    _run(PlayingActor, arguments, placing._SECONDS)
+
+
 def train_on_ray(*arguments: Any) -> None:
     """The same with an actor that trains."""
     _run(BriefActor, arguments)
 
 
-def _run(kind: type[actor.WorkerActor], arguments: tuple[Any, ...]) -> None:
+def _run(kind: type[actor.WorkerActor], arguments: tuple[Any, ...], seconds: float = 10.0) -> None:
+    """Run an actor of `kind` for which room is looked for so long; a busy machine finds it late."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("streamlod.server.worker.cluster.placing.WorkerActor", kind)
-        patch.setattr("streamlod.server.worker.cluster.placing._SECONDS", 10.0)  # a busy machine finds room late
+        patch.setattr(placing, "WorkerActor", kind)
+        patch.setattr(placing, "_SECONDS", seconds)
         driver.run_on_ray(*arguments)

@@ -55,6 +55,7 @@ def test_a_stream_without_room_is_refused_with_what_would_have_to_stop(
     source = {"data": str(clip)}
     with running(settings(nodes, 2)) as server, server.client(timeout=90) as client:
         assert client.post("/v1/streams", json={"id": "first", "start": True, **source}).status_code == 201
+        monkeypatch.setattr("streamlod.server.stream.worker_stream.run_on_ray", actors.play_on_ray_or_not)
         refused = client.post("/v1/streams", json={"id": "second", "start": True, **source})
         assert refused.status_code == 409
         assert refused.json()["detail"].endswith("it needs 2 CPU on one node of the cluster, and none has them free; "
@@ -68,7 +69,9 @@ def test_a_stream_without_room_is_refused_with_what_would_have_to_stop(
             assert other.stream()["state"] == "starting"
             client.post("/v1/streams/first/stop")
             other.wait(lambda stream: stream["state"] == "live", seconds=90)
+        monkeypatch.setattr("streamlod.server.stream.worker_stream.run_on_ray", actors.play_on_ray)
         assert client.post("/v1/streams/second/start").status_code == 202
+    monkeypatch.setattr("streamlod.server.stream.worker_stream.run_on_ray", actors.play_on_ray_or_not)
     with running(settings(nodes, 64)) as server, server.client(timeout=90) as client:
         refused = client.post("/v1/streams", json={"id": "large", "start": True, **source})
         assert (refused.status_code, "no node is that large" in refused.json()["detail"]) == (409, True)
@@ -103,7 +106,9 @@ def test_a_stream_goes_on_at_another_node_when_its_own_is_killed(
         while nodes.actors() != [1, 1]:  # one waits on the other node
             assert time.monotonic() < limit
             viewer.step()
-        server.wait(lambda stream: stream["version"] > KEY_EVERY and stream["version"] % KEY_EVERY == 3, seconds=60)
+        server.wait(
+            lambda stream: stream["version"] > KEY_EVERY and 3 <= stream["version"] % KEY_EVERY <= 7, seconds=60
+        )
         nodes.kill(nodes.oldest())
         viewer.until("epoch", 30)
         shown = max(viewer.decoder.versions)  # the last of the epoch before
