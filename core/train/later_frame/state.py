@@ -8,10 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from streamlod.core.arrays import Bool, Int64
+from streamlod.core.arrays import Bool
 from streamlod.core.camera import Camera
 from streamlod.core.scene.anchors import Scene
-from streamlod.core.scene.expand import anchor_positions, dequantise
 from streamlod.core.scene.residual import Residual
 from streamlod.core.train.field.convert import field_of, level_starts
 from streamlod.core.train.field.field import Field
@@ -71,46 +70,26 @@ class State:
         return all(torch.equal(getattr(self.field, name), getattr(self.canonical, name)) for name in names)
 
     def after(self, residual: Residual, scene: Scene, trained: Bool) -> State:
-        """The state that `residual` led to by training `trained` [N]; changed rows are dequantised as decoders do."""
-        after = replace(self, scene=scene, trained=trained)
-        if any(len(part.added) for part in residual.levels):
-            return after._with_added_rows(residual, level_starts(self.scene))
-        return replace(after, field=self._changed(residual, scene))
+        """The state that `residual` led to by training `trained` [N], dequantised as decoders do.
 
-    def _changed(self, residual: Residual, scene: Scene) -> Field:
-        """The field, with the rows that `residual` changes dequantised from `scene`."""
-        field, starts = self.field, level_starts(scene)
-        device = field.feature.device
-        feature, offset, position = field.feature.clone(), field.offset.clone(), field.position.clone()
-        for number, (level, part) in enumerate(zip(scene.levels, residual.levels, strict=True)):
-            if len(part.rows) == 0:
-                continue
-            changed = torch.from_numpy(part.rows + starts[number]).to(device)
-            new_feature, new_offset, _ = dequantise(scene.header, scene.weights, level, part.rows)
-            feature[changed] = torch.from_numpy(new_feature).to(device)
-            offset[changed] = torch.from_numpy(new_offset).to(device)
-            position[changed] = torch.from_numpy(anchor_positions(scene.header, number, level)[part.rows]).to(device)
-        return replace(field, feature=feature, offset=offset, position=position)
-
-    def _with_added_rows(self, residual: Residual, before: Int64) -> State:
-        """This state, whose scene has anchors more: rows of finer levels move up, and new ones count as dynamic.
-
-        Args:
-            before: first row of each level without the new anchors, and their number.
+        With new anchors, rows of finer levels move up, and the new ones count as dynamic.
         """
-        device = str(self.field.feature.device)
-        origins = []
+        after = replace(self, scene=scene, trained=trained)
+        if not any(len(part.rows) + len(part.added) for part in residual.levels):
+            return after
+        device, starts = str(self.field.feature.device), level_starts(self.scene)
+        origins = []  # the rows before, -1 for new ones
         for number, part in enumerate(residual.levels):
-            origins += [np.arange(before[number], before[number + 1]), np.full(len(part.added), -1)]
+            origins += [np.arange(starts[number], starts[number + 1]), np.full(len(part.added), -1)]
         origin = np.concatenate(origins)
-        field = replace(field_of(self.scene).to(device), by_distance=self.field.by_distance)
+        field = replace(field_of(scene).to(device), by_distance=self.field.by_distance)
         new = torch.from_numpy(np.flatnonzero(origin < 0)).to(device)
         known = torch.from_numpy(np.maximum(origin, 0)).to(device)
         return replace(
-            self,
+            after,
             field=field,
             canonical=self.canonical.with_rows(known).with_values(new, field),
-            trained=(origin < 0) | self.trained[np.maximum(origin, 0)],
+            trained=(origin < 0) | trained[np.maximum(origin, 0)],
         )
 
 
