@@ -51,9 +51,6 @@ class Trainer:
         frame_budget_ms: wall time for each later frame, None for as long as it takes. `sent` tells what encoding took.
         target_kbps: kilobits a second that predicted packets may take, None for any; needs `sent` after every frame.
         clock: seconds that the budget and the report go by.
-
-    Raises:
-        ValueError: a budget or a rate that is not positive.
     """
 
     def __init__(

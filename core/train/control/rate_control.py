@@ -61,16 +61,11 @@ class RateControl:
     """Holds a stream to a rate.
 
     Args:
-        kbps: kilobits (1000 bits) a second.
-        fps: frames a second.
-
-    Raises:
-        ValueError: a number that is not positive.
+        kbps: kilobits (1000 bits) a second, more than 0.
+        fps: frames a second, more than 0.
     """
 
     def __init__(self, kbps: float, fps: float) -> None:
-        if not (kbps > 0 and fps > 0):
-            raise ValueError("rate and frame rate must be positive")
         self._drain = kbps * 1000 / 8 / fps  # bytes a frame
         # a second of it: the delay that a viewer on this channel sees at worst
         self._capacity = max(kbps * 1000 / 8, self._drain)

@@ -76,9 +76,3 @@ def test_a_plan_under_strain_trains_less_and_surer() -> None:
     assert strained.rate_weight > config.rate_weight
     assert config.posterior < strained.posterior < 1
     assert control.plan().most_anchors == 0
-
-
-@pytest.mark.parametrize("arguments", [(0, 30), (300, 0), (-1, 30)])
-def test_rates_that_are_none_are_refused(arguments: tuple[float, ...]) -> None:
-    with pytest.raises(ValueError, match="positive"):
-        RateControl(*arguments)
