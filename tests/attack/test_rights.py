@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,11 @@ from streamlod.server.auth.gate import Right, hash_token
 from streamlod.server.ingest.push.router import push_router
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Limits, Settings
-from tests.server.conftest import Clip, running, viewing
+from tests.server.conftest import UNWATCHED, Clip, running, viewing
 from tests.waiting import wait
 
 _SECRET = "s" * 40
-_STREAMS = tuple(StreamSpec(id=name, play=Path("nothing.slod")) for name in ("stage-1", "stage-2", "office"))
+_STREAMS = tuple(replace(UNWATCHED, id=name) for name in ("stage-1", "stage-2", "office"))
 
 
 def bearer(token: str) -> dict[str, str]:

@@ -6,18 +6,15 @@ import contextlib
 import random
 import socket
 import time
-from pathlib import Path
 
 import pytest
 
 from streamlod.server.http import websocket
-from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.service import run
 from streamlod.server.settings import Limits, Settings
-from tests.server.conftest import Running, running
+from tests.server.conftest import UNWATCHED, Running, running
 from tests.server.test_faults import HANDSHAKE, masked
 
-_STREAM = StreamSpec(play=Path("nothing.slod"))
 _LIMITS = Limits(request_seconds=0.6, hello_seconds=0.4, stuck_seconds=0.5, connections=4000)
 _OTHER_SECONDS = 5  # that a connection has at most beyond those of a kept-alive one, on a busy machine
 
@@ -60,7 +57,7 @@ def ends_within(peer: socket.socket, seconds: float) -> bool:
     ids=["long line", "many lines", "long path", "bad byte", "body"],
 )
 def test_an_upgrade_that_websockets_refuses_is_answered_and_closed(request_bytes: bytes) -> None:
-    with running(Settings(limits=_LIMITS), _STREAM) as server:
+    with running(Settings(limits=_LIMITS), UNWATCHED) as server:
         peers = [connected(server, request_bytes) for _ in range(5)]
         assert all(ends_within(peer, 3) for peer in peers)
         with server.client() as client:
@@ -68,7 +65,7 @@ def test_an_upgrade_that_websockets_refuses_is_answered_and_closed(request_bytes
 
 
 def test_a_long_upgrade_header_gets_431() -> None:
-    with running(Settings(limits=_LIMITS), _STREAM) as server:
+    with running(Settings(limits=_LIMITS), UNWATCHED) as server:
         with connected(server, upgrade(f"X-Long: {'x' * 9000}")) as peer:
             assert peer.recv(4096).startswith(b"HTTP/1.1 431 ")
         assert server.registry.turned_away["large"] == 1
@@ -87,7 +84,7 @@ def test_a_long_upgrade_header_gets_431() -> None:
 )
 def test_a_head_is_bounded(fields: list[str], status: int) -> None:
     limits = _LIMITS.model_copy(update={"request_bytes": 8192})  # which one segment holds
-    with running(Settings(limits=limits), _STREAM) as server:
+    with running(Settings(limits=limits), UNWATCHED) as server:
         head = "\r\n".join(["GET /healthz HTTP/1.1", "Host: localhost", "Connection: close", *fields, "", ""])
         with connected(server, head.encode()) as peer:
             assert peer.recv(4096).startswith(f"HTTP/1.1 {status} ".encode())
@@ -95,7 +92,7 @@ def test_a_head_is_bounded(fields: list[str], status: int) -> None:
 
 
 def test_fields_behind_a_body_in_chunks_are_bounded() -> None:
-    with running(Settings(limits=_LIMITS), _STREAM) as server:
+    with running(Settings(limits=_LIMITS), UNWATCHED) as server:
         head = b"POST /v1/streams HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n"
         with connected(server, head + b"".join(b"X-%d: 1\r\n" % number for number in range(1000)) + b"\r\n") as peer:
             assert ends_within(peer, 10)
@@ -136,7 +133,7 @@ def partial(chooser: random.Random) -> bytes:
 def none_left(seconds: float, per_second: int, seed: int) -> None:
     """Open random partial connections for so long; none may outlive its deadline, and the server goes on serving."""
     chooser, peers = random.Random(seed), []
-    with running(Settings(limits=_LIMITS), _STREAM) as server:
+    with running(Settings(limits=_LIMITS), UNWATCHED) as server:
         begin = time.monotonic()
         while time.monotonic() < begin + seconds:
             peers.append(connected(server, partial(chooser)))

@@ -18,7 +18,7 @@ from streamlod.core.errors import InputError, RequestRefused
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 from tests.attack.test_rights import write_tokens
-from tests.server.conftest import Clip, Running, clip, running, slow_clip, viewing
+from tests.server.conftest import UNWATCHED, Clip, Running, clip, running, slow_clip, viewing
 
 __all__ = ["clip", "slow_clip"]
 
@@ -103,7 +103,7 @@ def test_the_command_controls_a_server(server: Running, clip: Clip, tmp_path: Pa
 
 
 def test_refusals_are_errors_of_ours(tmp_path: Path) -> None:
-    with running(write_tokens(tmp_path), StreamSpec(play=Path("nothing.slod"))) as server:
+    with running(write_tokens(tmp_path), UNWATCHED) as server:
         with ServerClient(server.url, token="wrong") as client, pytest.raises(RequestRefused) as caught:
             client.streams()
         assert (caught.value.status, str(caught.value)) == (401, "a valid token is needed [401]")

@@ -34,6 +34,7 @@ from tests.codec.scenes import make_scene, move
 from tests.waiting import PATIENCE
 
 FRAME_NS = 20_000_000
+UNWATCHED = StreamSpec(play=Path("nothing.slod"), on_demand=True)  # it starts no process before somebody watches
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ from streamlod.server.settings import Limits, Settings
 from streamlod.server.stream.counters import Counters
 from streamlod.server.stream.hub import Hub
 from tests.codec.scenes import assert_same_level, assert_same_state, make_scene, move
-from tests.server.conftest import Clip, make_clip, running, viewing
+from tests.server.conftest import UNWATCHED, Clip, make_clip, running, viewing
 
 HANDSHAKE = (
     "GET /v1/streams/main/live HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
@@ -193,7 +193,7 @@ def test_connections_that_never_speak_websocket_properly_do_no_harm(clip: Clip) 
 
 def test_a_crowd_that_says_hello_at_once_gets_no_more_places_than_there_are() -> None:
     limits = Limits(viewers=2)
-    with running(Settings(limits=limits), StreamSpec(play=Path("nothing.slod"))) as server, ExitStack() as stack:
+    with running(Settings(limits=limits), UNWATCHED) as server, ExitStack() as stack:
         crowd = [stack.enter_context(viewing(server)) for _ in range(4)]
         for viewer in crowd[:2]:
             viewer.hello()
@@ -204,7 +204,7 @@ def test_a_crowd_that_says_hello_at_once_gets_no_more_places_than_there_are() ->
 
 def test_a_websocket_too_many_is_refused() -> None:
     settings = Settings(limits=Limits(connections=3))
-    with running(settings, StreamSpec(play=Path("nothing.slod"))) as server, ExitStack() as stack:
+    with running(settings, UNWATCHED) as server, ExitStack() as stack:
         for _ in range(2):
             stack.enter_context(raw(server.port))
         with socket.create_connection(("127.0.0.1", server.port), 10) as peer:

@@ -20,7 +20,7 @@ from streamlod.core.errors import SessionError
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Limits, Settings
 from tests.codec.scenes import assert_same_level, assert_same_state
-from tests.server.conftest import Clip, Running, Viewer, make_clip, running, viewing
+from tests.server.conftest import UNWATCHED, Clip, Running, Viewer, make_clip, running, viewing
 
 PIECE = 32_768  # bytes of a keyframe in one websocket frame
 LIMITS = Limits(messages_per_second=20, viewer_lag_seconds=30)
@@ -182,7 +182,7 @@ def test_a_viewer_of_later_versions_too_is_answered_with_one_in_common(server: R
 
 def test_who_says_no_hello_is_shown_out() -> None:
     limits = Limits(hello_seconds=0.4)
-    with running(Settings(limits=limits), StreamSpec(play=Path("nothing.slod"))) as server, viewing(server) as viewer:
+    with running(Settings(limits=limits), UNWATCHED) as server, viewing(server) as viewer:
         assert closed(viewer) == (4408, "no hello within 0.4 s")
 
 

@@ -23,7 +23,7 @@ from streamlod.server.settings import Settings
 from streamlod.server.stream.worker_stream import WorkerStream
 from streamlod.server.worker.process import Sender, Tag
 from tests.attack.test_rights import bearer, close_code, write_tokens
-from tests.server.conftest import Clip, Running, make_clip, running, viewing
+from tests.server.conftest import UNWATCHED, Clip, Running, make_clip, running, viewing
 from tests.waiting import wait
 
 
@@ -250,7 +250,7 @@ def test_a_web_token_is_withdrawn_by_its_name_or_hash(tmp_path: Path) -> None:
     settings = write_tokens(tmp_path).model_copy(update={"revoked": revoked})
     claims = {"exp": time.time() + 100, "aud": "streamlod", "lod": {"rights": ["read"]}}
     named, plain = jwt.encode(claims | {"jti": "page-7"}, "s" * 40, "HS256"), jwt.encode(claims, "s" * 40, "HS256")
-    with running(settings, StreamSpec(play=Path("nothing.slod"))) as server, server.client() as client:
+    with running(settings, UNWATCHED) as server, server.client() as client:
         assert [client.get("/v1/streams", headers=bearer(token)).status_code for token in (named, plain)] == [200, 200]
         revoked.write_text(f"page-7  # lost phone\n{hash_token(plain)}\n")
         limit = time.monotonic() + 60

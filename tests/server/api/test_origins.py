@@ -12,11 +12,9 @@ from websockets.exceptions import ConnectionClosed
 from websockets.frames import Close
 from websockets.sync.client import connect
 
-from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
-from tests.server.conftest import Running, running
+from tests.server.conftest import UNWATCHED, Running, running
 
-_STREAM = StreamSpec(play=Path("nothing.slod"))
 _FOREIGN = {
     "another site": {"Origin": "http://elsewhere.example"},
     "a name that leads here": {"Origin": "http://elsewhere.example", "Host": "elsewhere.example"},
@@ -42,7 +40,7 @@ def closed(server: Running, headers: dict[str, str]) -> Close:
 
 
 def test_foreign_pages_change_nothing_and_watch_nothing() -> None:
-    with running(Settings(), _STREAM) as server, server.client() as client:
+    with running(Settings(), UNWATCHED) as server, server.client() as client:
         for name, headers in _FOREIGN.items():
             refused = 421 if "Host" in headers else 403
             answer = client.post("/v1/streams/main/stop", headers=headers)
@@ -60,8 +58,8 @@ def test_foreign_pages_change_nothing_and_watch_nothing() -> None:
 
 def test_origins_of_the_settings_and_names_of_a_server_with_tokens_count_as_own(tmp_path: Path) -> None:
     known = {"Origin": "https://stage.example", "Host": "stage.example"}
-    with running(Settings(origins=("https://stage.example",)), _STREAM) as server, server.client() as client:
+    with running(Settings(origins=("https://stage.example",)), UNWATCHED) as server, server.client() as client:
         assert client.post("/v1/streams/main/stop", headers=known).status_code == 202
     (tmp_path / "tokens").write_text("[]")
-    with running(Settings(tokens=tmp_path / "tokens"), _STREAM) as server, server.client() as client:
+    with running(Settings(tokens=tmp_path / "tokens"), UNWATCHED) as server, server.client() as client:
         assert client.post("/v1/streams/main/stop", headers=known).status_code == 401

@@ -16,11 +16,10 @@ from streamlod.codec.encoder import encode_keyframe
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Limits, Settings
 from tests.codec.scenes import make_scene
-from tests.server.conftest import Running, running
+from tests.server.conftest import UNWATCHED, Running, running
 from tests.server.test_faults import masked, raw
 from tests.waiting import wait
 
-_STREAM = StreamSpec(play=Path("nothing.slod"))
 _PINGS = masked(9, bytes(125)) * 1000
 
 
@@ -41,7 +40,7 @@ def until_away(server: Running, reason: str) -> None:
 
 def test_answers_to_pings_do_not_pile_up() -> None:
     limits = Limits(hello_seconds=60)  # the pings come before the hello
-    with running(Settings(limits=limits), _STREAM) as server, raw(server.port, 4096) as peer:
+    with running(Settings(limits=limits), UNWATCHED) as server, raw(server.port, 4096) as peer:
         for _ in range(30):
             peer.sendall(_PINGS)
         peer.sendall(masked(1, b'{"type":"goodbye"}'))
@@ -53,7 +52,7 @@ def test_answers_to_pings_do_not_pile_up() -> None:
 
 
 def test_a_message_in_endless_parts_is_refused() -> None:
-    with running(Settings(), _STREAM) as server, raw(server.port) as peer:
+    with running(Settings(), UNWATCHED) as server, raw(server.port) as peer:
         peer.sendall(b"\x01\x80" + bytes(4) + (b"\x00\x80" + bytes(4)) * 2000)
         frame = peer.recv(4096)
         assert frame[0] == 0x88
@@ -64,7 +63,7 @@ def test_a_message_in_endless_parts_is_refused() -> None:
 @pytest.mark.parametrize("upgraded", [False, True])
 def test_a_peer_that_takes_no_answer_is_cut(upgraded: bool) -> None:
     settings = Settings(limits=Limits(stuck_seconds=0.3, hello_seconds=0.2))
-    with running(settings, _STREAM) as server, peer_of(server, upgraded=upgraded) as peer:
+    with running(settings, UNWATCHED) as server, peer_of(server, upgraded=upgraded) as peer:
         request = _PINGS * 10 if upgraded else b"GET /openapi.json HTTP/1.1\r\nHost: localhost\r\n\r\n" * 120
         with contextlib.suppress(ConnectionError):
             peer.sendall(request)
@@ -95,7 +94,7 @@ def test_a_download_that_is_read_too_slowly_is_cut_and_a_slow_one_is_not(tmp_pat
 
 
 def test_requests_that_wait_for_each_other_are_not_piled_up() -> None:
-    with running(Settings(), _STREAM) as server, peer_of(server, upgraded=False) as peer:
+    with running(Settings(), UNWATCHED) as server, peer_of(server, upgraded=False) as peer:
         peer.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n" * 1000)
         answers = b""
         with contextlib.suppress(ConnectionError):
