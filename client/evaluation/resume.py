@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import json
-import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from streamlod.core.data.names import spoken
 from streamlod.core.errors import InputError
-
-_log = logging.getLogger(__name__)
 
 
 def earlier_report(path: Path, facts: Mapping[str, Any]) -> dict[str, Any]:
-    """The report at `path` if each of `facts` (data, machine, protocol, ...) is the same in it; empty otherwise.
+    """The report at `path`, in which each of `facts` (data, machine, protocol, ...) is the same; empty where none is.
 
     A report does not know which program wrote it: after a change of the method, measure into a new folder.
 
     Raises:
-        InputError: the file cannot be read or is not JSON. Other files, with other facts, are replaced.
+        InputError: the file cannot be read, is not JSON, or was measured differently; it took hours, and stays.
     """
     if not path.is_file():
         return {}
@@ -27,10 +25,20 @@ def earlier_report(path: Path, facts: Mapping[str, Any]) -> dict[str, Any]:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError, OSError) as error:
         raise InputError(path, f"is not a report ({error}); name another folder for the results") from error
-    if not isinstance(found, dict) or any(found.get(name) != as_json(value) for name, value in facts.items()):
-        _log.info("%s was measured differently and is replaced", path)
-        return {}
+    if not isinstance(found, dict):
+        raise InputError(path, "is not a report; name another folder for the results")
+    other = [each for name, value in facts.items() for each in _differing(name, as_json(value), found.get(name))]
+    if other:
+        fault = f"holds measurements with another {spoken(other)}; name another folder by --out, or remove it"
+        raise InputError(path, fault)
     return found
+
+
+def _differing(name: str, wanted: Any, found: Any) -> list[str]:
+    """The name of a fact if it differs, or those of its parts that do where it has parts."""
+    if isinstance(wanted, dict) and isinstance(found, dict):
+        return [part for part in sorted({*wanted, *found}) if wanted.get(part) != found.get(part)]
+    return [] if wanted == found else [name]
 
 
 def as_json(value: Any) -> Any:

@@ -93,15 +93,19 @@ def test_a_split_file_must_hold_out_cameras_that_exist(clip: Path, tmp_path: Pat
     assert chosen_split(clip, None, 2, (), 1.0).test == ("cam00",)
 
 
-def test_a_file_that_is_no_report_is_not_overwritten(tmp_path: Path) -> None:
+def test_files_that_were_measured_otherwise_or_are_no_reports_are_not_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "study.json"
     assert earlier_report(path, {}) == {}
     path.write_text("my notes")
     with pytest.raises(InputError, match="is not a report"):
         earlier_report(path, {})
-    path.write_text('{"schema": 2, "data": "room"}')
-    assert earlier_report(path, {"data": "room"}) == {"schema": 2, "data": "room"}
-    assert earlier_report(path, {"data": "kitchen"}) == {}
+    path.write_text('{"schema": 2, "data": "room", "protocol": {"frames": 4, "downscale": 2}}')
+    assert earlier_report(path, {"data": "room"})["schema"] == 2
+    with pytest.raises(InputError, match=r"measurements with another data and frames; name another folder by --out"):
+        earlier_report(path, {"data": "kitchen", "protocol": {"frames": 3, "downscale": 2}, "schema": 2})
+    path.write_text("[]")
+    with pytest.raises(InputError, match="is not a report"):
+        earlier_report(path, {})
 
 
 @pytest.mark.long
