@@ -7,6 +7,7 @@ from typing import Any
 
 import av
 import numpy as np
+from av.sidedata.sidedata import SideDataContainer
 
 from streamlod.core.arrays import UInt8
 from streamlod.core.errors import InputError
@@ -48,7 +49,8 @@ def _turn(frame: av.VideoFrame) -> tuple[bool, int, int] | None:
 
     A stored point (p right, q down) is shown at (a p + c q, b p + d q), up to a shift.
     """
-    side = frame.side_data.get("DISPLAYMATRIX")
+    # Not `frame.side_data`, which a picture keeps and which keeps the picture: megabytes until cycles are collected.
+    side = SideDataContainer(frame).get("DISPLAYMATRIX")  # type: ignore[call-arg]
     raw: Any = b"" if side is None else side  # PyAV's type stubs do not declare the buffer protocol
     data = bytes(raw)
     if len(data) < _MATRIX.size:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import subprocess
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -50,6 +52,21 @@ def test_a_matrix_may_scale_or_say_nothing(tmp_path: Path) -> None:
         put_display_matrix(video, *matrix)
         ((_, frame),) = read_video(video)
         np.testing.assert_array_equal(upright(frame), np.rot90(upright(plain), quarters))
+
+
+def test_a_picture_is_freed_with_its_last_user(tmp_path: Path) -> None:
+    """Without a search for cycles, which is rare where few objects are made: pictures are megabytes."""
+    write_video(tmp_path / "cam.mp4", [_corners()] * 3)
+    put_display_matrix(tmp_path / "cam.mp4", *TURNS[0])
+    gc.collect()
+    gc.disable()
+    try:
+        sizes = [upright(frame).shape for _, frame in read_video(tmp_path / "cam.mp4")]
+        kept = [each for each in gc.get_objects() if isinstance(each, av.VideoFrame)]
+    finally:
+        gc.enable()
+    assert sizes == [(64, 48, 3)] * 3
+    assert not kept
 
 
 def test_a_picture_that_is_turned_by_another_angle_is_refused(tmp_path: Path) -> None:
