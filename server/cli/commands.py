@@ -168,8 +168,8 @@ def serve(settings: Settings, streams: tuple[StreamSpec, ...], read_settings: Ca
 
 def push(url: str, sources: list[str], fps: float, size: str | None, loop: bool, ca: Path | None = None) -> str:
     """Be a capture node until the sources end."""
-    from streamlod.server.ingest.push.capture import find_cameras
     from streamlod.server.ingest.push.node import push as send
+    from streamlod.server.ingest.push.sources import find_cameras
 
     cameras = find_cameras(sources, fps, None if size is None else picture_size(size), repeats=loop)
     pushed = send(url, cameras, os.environ.get("STREAMLOD_TOKEN"), ca)

@@ -47,12 +47,17 @@ def timed_pictures(
 def played_pictures(
     container: av.container.InputContainer, stream: av.video.stream.VideoStream, rate: Fraction
 ) -> Iterator[tuple[int, av.VideoFrame]]:
-    """Pictures of a played file, see `timed_pictures`: nobody waits for a first one with a time of another clock."""
+    """Pictures of a played file, see `timed_pictures`, with their times from where it is played."""
     begin_ns: int | None = None
     for time_ns, frame in timed_pictures(container, stream, rate):
         if begin_ns is None:
-            begin_ns = time_ns if abs(time_ns) > _LATEST_BEGIN_NS else 0
+            begin_ns = played_from(time_ns)
         yield time_ns - begin_ns, frame
+
+
+def played_from(first_ns: int) -> int:
+    """The time from which a file is played: nobody waits for a first picture with a time of another clock."""
+    return first_ns if abs(first_ns) > _LATEST_BEGIN_NS else 0
 
 
 class _Decoding:

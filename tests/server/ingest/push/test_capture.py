@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from streamlod.server.ingest.push.capture import find_cameras
+from streamlod.server.ingest.push.sources import find_cameras
 from tests.core.data.writers import picture, put_display_matrix, read_back, write_picture, write_video
 
 
@@ -60,3 +61,14 @@ def test_a_file_without_times_is_pushed_at_the_rate_given(tmp_path: Path) -> Non
     (camera,) = find_cameras([f"a={raw}"], 100)
     start = time.time_ns()
     assert [round((taken.capture_ns - start) / 1e7) for taken in camera.pictures(start)] == [0, 1, 2, 3, 4]
+
+
+def test_files_that_repeat_begin_together_at_their_own_rate(tmp_path: Path) -> None:
+    """Whatever rate is said of sources without times; a camera that stopped first waits for the others."""
+    write_video(tmp_path / "long.mp4", [picture(0, t) for t in range(5)], fps=50)
+    write_video(tmp_path / "short.mkv", [picture(0, t) for t in range(4)], fps=50)
+    for camera in find_cameras([str(tmp_path)], 30, repeats=True):
+        start, count = time.time_ns(), 5 if camera.name == "long" else 4
+        taken = itertools.islice(camera.pictures(start), count + 2)
+        places = [round((one.capture_ns - start) / 20_000_000) for one in taken]
+        assert places == [*range(count), 5, 6]
