@@ -48,10 +48,12 @@ class Automatic:
     def find(self, sources: PointSources) -> PointCloud:
         """Whatever can be had."""
         points = sources.dataset_points or PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
-        if sources.frame.present.sum() > 1:
+        several = sources.frame.present.sum() > 1
+        if several:
             points = merged(points, self.sweep.find(sources))
         if len(points) < self.few:
-            _log.warning("the pictures gave only %d first points", len(points))
+            doubt = "; are the cameras where their poses say? `streamlod check` tells" if several else ""
+            _log.warning("the pictures gave only %d first points%s", len(points), doubt)
             points = merged(points, self.last_resort.find(sources))
         return self.completion.completed(points, sources.views(self.completion.rows))
 

@@ -109,6 +109,19 @@ def test_flat_pictures_fall_back_on_random_points_with_a_warning(
     np.testing.assert_array_equal(points.positions, again.positions)
 
 
+@pytest.mark.long
+def test_poses_of_other_axes_are_doubted(frame: FrameSet, caplog: pytest.LogCaptureFixture) -> None:
+    """As of a program that has OpenGL's axes, written without turning them."""
+    turn = np.diag([1.0, -1, -1, 1])
+    cameras = [replace(camera, world_to_camera=turn @ camera.world_to_camera) for camera in DATASET.cameras]
+    doubt = "are the cameras where their poses say? `streamlod check` tells"
+    with caplog.at_level(logging.WARNING):
+        first_points(frame, DATASET.cameras, depth_bounds=DATASET.depth_bounds)
+        assert doubt not in caplog.text
+        first_points(frame, cameras, depth_bounds=DATASET.depth_bounds)
+    assert doubt in caplog.text
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
