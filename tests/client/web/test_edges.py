@@ -18,13 +18,14 @@ from tests.waiting import wait
 
 pytestmark = [pytest.mark.browser, pytest.mark.cluster]
 
-# The longest time between two versions [ms], and all phases, from here on. Time in which the page does not run is not
-# counted: versions that come meanwhile are not seen.
+# The longest time between two versions [ms], how many were seen, and all phases, from here on. Time in which the page
+# does not run is not counted: versions that come meanwhile are not seen.
 WATCH = """() => {
   let version = 0, last = performance.now(), silent = 0;
-  window.gap = 0;
+  window.gap = window.seen = 0;
   setInterval(() => {
     const state = streamlod.state, now = performance.now();
+    window.seen += state.version !== version;
     silent = state.version === version ? silent + Math.min(now - last, 50) : 0;
     [version, last] = [state.version, now];
     window.gap = Math.max(window.gap, silent);
@@ -74,7 +75,7 @@ def test_the_page_watches_at_an_edge_and_leaves_it_when_it_stops(chromium: Any, 
         at = 0 if pages_at(edges[0]) else 1
         stops[at].close()  # as after SIGTERM
         wait(lambda: pages_at(edges[1 - at]) == 1, 60)
-        page.wait_for_timeout(1000)
+        page.wait_for_function("(seen) => window.seen > seen + 25", arg=page.evaluate("window.seen"), timeout=60_000)
         assert page.evaluate("window.gap") < 4000  # ms; the browser draws on a busy CPU
         assert page.evaluate("!window.phases.has('reconnecting')")  # it went before it was sent away
 
@@ -96,6 +97,7 @@ def test_the_page_goes_back_where_an_edge_refuses_what_its_origin_serves(chromiu
         goes_to_an_edge(page, f"{origin.url}/?stream=main", lambda: edge.registry.turned_away["4404"])
         wait(lambda: pages_at(origin) == 1, 60)
         shows(page, "s.version > 0 && !['missing', 'reconnecting', 'connecting'].includes(s.phase)")
-        page.wait_for_timeout(1500)
+        page.evaluate(WATCH)
+        page.wait_for_function("window.seen > 50", timeout=60_000)
         assert pages_at(origin) == 1  # and stays there
         assert edge.registry.turned_away["4404"] == 1

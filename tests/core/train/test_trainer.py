@@ -74,7 +74,7 @@ def test_later_frames_follow_what_moves(clip: Dataset, frames: list[FrameSet], t
     last = frames[-1]
     followed = np.mean([quality(trained[-1].scene, c, i) for c, i in zip(clip.cameras, last.images, strict=True)])
     frozen = np.mean([quality(trained[0].scene, c, i) for c, i in zip(clip.cameras, last.images, strict=True)])
-    assert followed > frozen + 0.3
+    assert followed > frozen + 1
     for result in trained[1:]:
         assert 0 < result.report.dynamic < 0.5 * result.report.anchors
 
