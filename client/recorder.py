@@ -14,6 +14,7 @@ from streamlod.core.arrays import UInt8
 from streamlod.core.errors import InputError
 from streamlod.core.files import put_in_place, temporary_beside, write_bytes
 
+_OTHERS = (".avi", ".gif", ".jpeg", ".jpg", ".m4v", ".mkv", ".mov", ".png", ".webm", ".webp")
 _QUALITY = "18"  # x264's constant rate factor: visually near lossless
 
 
@@ -36,14 +37,21 @@ def open_recorder(out: Path | str, fps: float) -> Recorder:
     """An MP4 file where `out` ends in .mp4, otherwise a folder of numbered PNGs.
 
     Raises:
-        InputError: the place cannot be written to.
+        InputError: the place cannot be written to, or is called like a film or picture of another kind.
     """
     out = Path(out)
+    if out.suffix.lower() in _OTHERS and not out.is_dir():
+        raise InputError(out, "is neither an .mp4 file nor a folder of pictures; name one of these")
     try:
-        (out.parent if out.suffix == ".mp4" else out).mkdir(parents=True, exist_ok=True)
+        (out.parent if is_film(out) else out).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(out, f"cannot be written ({error.strerror})") from error
-    return _Mp4(out, fps) if out.suffix == ".mp4" else _PngFolder(out)
+    return _Mp4(out, fps) if is_film(out) else _PngFolder(out)
+
+
+def is_film(out: Path) -> bool:
+    """Whether `open_recorder` makes a film of this path, and no folder."""
+    return out.suffix.lower() == ".mp4"
 
 
 def write_png(path: Path | str, picture: UInt8) -> None:
@@ -85,6 +93,10 @@ class _Mp4(AbstractContextManager["_Mp4"]):
         import av
 
         height, width = picture.shape[0] & ~1, picture.shape[1] & ~1
+        if not height or not width:
+            raise InputError(
+                self._path, "a film needs two pixels a side or more; a folder of pictures takes smaller ones"
+            )
         if self._container is None:
             self._container = av.open(str(self._temporary), "w", format="mp4", options={"movflags": "faststart"})
             self._stream = self._container.add_stream("libx264", rate=self._rate, options={"crf": _QUALITY})

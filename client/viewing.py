@@ -14,7 +14,7 @@ from streamlod.client.connection.link import WatchOptions
 from streamlod.client.connection.watch import watch
 from streamlod.client.events import Event, NewScene, Notice, Welcome
 from streamlod.client.film_sound import fetch_and_add
-from streamlod.client.recorder import Recorder, open_recorder
+from streamlod.client.recorder import Recorder, is_film, open_recorder
 from streamlod.client.viewpoints import CameraPath
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera import Camera
@@ -95,7 +95,7 @@ async def record_stream(
     take.close(None)
     if take.count == 0:
         raise InputError(url, "the stream ended before it had a picture")
-    if take.has_sound and out.suffix == ".mp4":
+    if take.has_sound and is_film(out):
         await asyncio.to_thread(fetch_and_add, live_address(url), options.token, out, take.filmed_ns, take.fps)
     if cut is not None:
         raise cut
@@ -124,7 +124,7 @@ class _Take:
         self._path: CameraPath | None = None
         self._stream_fps = self._film_fps = 1.0  # known with the first state
         self._place = -1  # of the newest state in the stream, in frames
-        self._keeps_time = fps is not None or out.suffix == ".mp4"
+        self._keeps_time = fps is not None or is_film(out)
         self.newest: NewScene | None = None
         self.count = 0
         self.filmed_ns: list[int | None] = []  # of each picture; None once the stream is over

@@ -60,6 +60,22 @@ def test_an_error_leaves_no_video(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_films_are_told_by_their_suffix_in_any_case(tmp_path: Path) -> None:
+    with open_recorder(tmp_path / "a.MP4", 30) as recorder:
+        recorder.add(picture(0))
+    assert (tmp_path / "a.MP4").is_file()
+    for name in ("a.mov", "a.AVI", "a.png"):
+        with pytest.raises(InputError, match=r"is neither an \.mp4 file nor a folder"):
+            open_recorder(tmp_path / name, 30)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.MP4"]
+
+
+def test_a_film_of_single_pixels_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="two pixels a side"), open_recorder(tmp_path / "a.mp4", 30) as recorder:
+        recorder.add(picture(0, (1, 1)))
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for out in (tmp_path / "file" / "x.mp4", tmp_path / "file" / "x"):
