@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 from streamlod import open_recording
 
 
 def main(path: str) -> None:
-    recording = open_recording(Path(path))
+    recording = open_recording(path)
     print(f"versions {recording.versions[0]} to {recording.versions[-1]}")
     for frame in recording.frames():
         size = frame.key_bytes + frame.predicted_bytes
