@@ -21,7 +21,7 @@ from streamlod.server.pipeline.stages import open_job, train_stream
 from tests.core.data.writers import write_colmap_binary, write_picture
 from tests.server.brief import brief_training
 
-CLIP = open_synthetic(SyntheticSpec(cameras=3, frames=3, width=64, height=36, seed=2))
+CLIP = open_synthetic(SyntheticSpec(cameras=3, frames=3, width=48, height=28, seed=2))
 
 
 def write_clip(folder: Path, light: tuple[float, ...]) -> TrainJob:
@@ -38,7 +38,7 @@ def dimmed(image: UInt8, share: float) -> UInt8:
     return np.rint(share * image).astype(np.uint8)
 
 
-@pytest.mark.parametrize("previews", [False, True])
+@pytest.mark.parametrize("previews", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_a_clip_that_begins_in_black_is_shown_when_there_is_light(tmp_path: Path, previews: bool) -> None:
     decoder, kinds = SceneDecoder(), []
     with brief_training():
