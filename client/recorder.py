@@ -10,7 +10,7 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from streamlod.core.arrays import UInt8
+from streamlod.core.arrays import UInt8, check_array
 from streamlod.core.errors import InputError
 from streamlod.core.files import put_in_place, temporary_beside, write_bytes
 
@@ -55,9 +55,15 @@ def is_film(out: Path) -> bool:
 
 
 def write_png(path: Path | str, picture: UInt8) -> None:
-    """One picture [H,W,3] RGB as a whole file."""
+    """One picture [H,W,3] RGB, 8 bits a colour, as a whole file.
+
+    Raises:
+        TypeError, ValueError: another type, such as float, or shape.
+        InputError: the file cannot be written.
+    """
     import cv2
 
+    check_array("picture", picture, (None, None, 3), np.uint8)
     done, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
     if not done:
         raise InputError(path, "the picture could not be encoded as PNG")

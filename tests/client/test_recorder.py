@@ -49,6 +49,14 @@ def test_paths_may_be_text(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.mp4"]
 
 
+def test_a_picture_of_floats_is_not_written_as_black(tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match="picture must be an array of uint8, not float64"):
+        write_png(tmp_path / "a.png", picture(1) / 255)
+    with pytest.raises(ValueError, match="picture must have shape NxNx3, not 48x64"):
+        write_png(tmp_path / "a.png", picture(1)[..., 0])
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_error_leaves_no_video(tmp_path: Path) -> None:
     def record() -> None:
         with open_recorder(tmp_path / "a.mp4", 30) as recorder:
