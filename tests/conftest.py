@@ -20,12 +20,8 @@ DEAR = ("browser", "cluster", "long")
 def pytest_configure(config: pytest.Config) -> None:
     """Tests have a pretend GPU. A process that only hands tests out to others would load torch for nothing."""
     if hasattr(config, "workerinput") or config.getoption("dist", "no") == "no":
-        import torch
-
         from tests.device import fixture, pretend
 
-        # no test has tensors of several machines: to load what compares them takes a second in each process
-        torch.testing._comparison._HAS_DTENSOR = False
         config.pluginmanager.register(fixture)
         if pretend.can_be_registered():
             pretend.register()  # torch counts its devices when it first differentiates, so it must be there before that
