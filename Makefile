@@ -2,7 +2,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest --dist loadfile --no-loadscope-reorder
+PYTEST := OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=2 $(BIN)/pytest --dist loadfile --no-loadscope-reorder
 
 # Waiting threads must sleep: spinning ones cost a factor of three on shared cores (core/runtime.py)
 export OMP_WAIT_POLICY = PASSIVE

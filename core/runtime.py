@@ -33,12 +33,17 @@ def prepare_environment() -> None:
       with, and less CPU time too; longer looks only cost).
     * ``NUMBA_THREADING_LAYER=omp``: the default layer, workqueue, aborts the process when two threads render at once,
       as a viewer beside a trainer does.
+    * ``NUMBA_NUM_THREADS``: what ``OMP_NUM_THREADS`` says, if it is set. With all cores in its place, the first kernel
+      would raise torch's number of threads too, in its own thread alone: two trainings of a process would differ.
     * ``NUMBA_CACHE_DIR``: a folder that outlives checkouts and virtual environments, so that kernels compile once.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     if os.environ["OMP_WAIT_POLICY"].upper() == "PASSIVE":
         os.environ.setdefault("GOMP_SPINCOUNT", "1000")
     os.environ.setdefault("NUMBA_THREADING_LAYER", "omp")
+    threads = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()  # of nested parts, the outermost
+    if threads.isdecimal() and int(threads) > 0:
+        os.environ.setdefault("NUMBA_NUM_THREADS", threads)
     if "NUMBA_CACHE_DIR" not in os.environ:  # else a parent has found it, which takes reading all kernels' sources
         os.environ["NUMBA_CACHE_DIR"] = str(kernel_cache_folder())
     if fault := cache_fault(Path(os.environ["NUMBA_CACHE_DIR"])):

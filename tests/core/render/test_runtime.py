@@ -36,6 +36,25 @@ def test_what_the_user_set_stays() -> None:
     assert settings_after_import(**given) == given
 
 
+def test_kernels_take_as_many_threads_as_were_asked_for() -> None:
+    """And torch, whose number a kernel of more threads would raise."""
+    code = (
+        "import streamlod.core, numba, numpy, torch\nfrom numba import njit, prange\n"
+        "@njit(parallel=True)\ndef double(x):\n for i in prange(len(x)):\n  x[i] *= 2\n"
+        "double(numpy.ones(8))\nprint(numba.get_num_threads(), torch.get_num_threads())"
+    )
+    clean = {key: value for key, value in os.environ.items() if key != "NUMBA_NUM_THREADS"}
+    for asked in ("1", "1,4"):
+        answer = subprocess.run(
+            [sys.executable, "-c", code],
+            env=clean | {"OMP_NUM_THREADS": asked},
+            check=True,
+            capture_output=True,
+            text=True,
+        ).stdout
+        assert answer.split() == ["1", "1"]
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["read-only", "full", "no folder"])
 def test_kernels_compile_where_no_cache_can_be_kept(tmp_path: Path, kind: str) -> None:
