@@ -125,6 +125,9 @@ def _report_others(path: Path, used: list[Path]) -> None:
     if others:
         names = listed(others, 5)
         _log.warning("%s: %d pictures are left out, as the model does not place them: %s", path, len(others), names)
+    if others and len({file.parent for file in used}) == len(used) > 1:
+        _log.warning("%s: each camera has a folder here; if its other pictures are later instants, put those of each "
+                     "instant into a folder frames/0000, frames/0001, ..., called as in the model", path)  # fmt: skip
 
 
 def _labels(names: list[str]) -> dict[str, str]:

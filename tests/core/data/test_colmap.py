@@ -404,6 +404,30 @@ def test_pictures_that_the_model_does_not_place_are_told(tmp_path: Path, caplog:
     assert "1 pictures are left out, as the model does not place them: cam11.png" in caplog.text
 
 
+def test_a_folder_of_pictures_a_camera_is_told_where_later_instants_belong(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    entries = [(f"{camera.name}/0000.png", camera, "PINHOLE") for camera in rig(NAMES)]
+    write_colmap_binary(tmp_path / "sparse" / "0", entries, POINTS)
+    for number, name in enumerate(NAMES):
+        for instant in range(2):
+            write_picture(tmp_path / "images" / name / f"{instant:04d}.png", picture(number, instant))
+    with caplog.at_level(logging.WARNING):
+        open_dataset(tmp_path)
+    assert "put those of each instant into a folder frames/0000" in caplog.text
+    caplog.clear()
+    for instant in range(2):
+        (tmp_path / "frames" / f"{instant:04d}").mkdir(parents=True)
+        for number, name in enumerate(NAMES):
+            write_picture(tmp_path / "frames" / f"{instant:04d}" / name / "0000.png", picture(number, instant))
+    with caplog.at_level(logging.WARNING):
+        frames = list(open_dataset(tmp_path).frames())
+    assert [[read_back(image) for image in frame.images] for frame in frames] == [
+        [(number, instant) for number in range(len(NAMES))] for instant in range(2)
+    ]
+    assert "each camera has a folder" not in caplog.text
+
+
 @both_formats
 def test_names_that_are_not_utf8_lead_to_their_files(tmp_path: Path, write: Writer) -> None:
     _one_instant(tmp_path, write)
