@@ -12,12 +12,12 @@ from streamlod.core.errors import InputError
 
 
 def earlier_report(path: Path, facts: Mapping[str, Any]) -> dict[str, Any]:
-    """The report at `path`, in which each of `facts` (data, machine, protocol, ...) is the same; empty where none is.
+    """The report at `path`, of which each of `facts` (data, machine, protocol, ...) holds; empty if there is no file.
 
     A report does not know which program wrote it: after a change of the method, measure into a new folder.
 
     Raises:
-        InputError: the file cannot be read, is not JSON, or was measured differently; it took hours, and stays.
+        InputError: the file cannot be read, is not JSON, or was measured differently. It is never replaced.
     """
     if not path.is_file():
         return {}

@@ -122,10 +122,11 @@ def _report_others(path: Path, used: list[Path]) -> None:
     """Log pictures beside those used: COLMAP could not place them, or placed them in another model."""
     beside = {file for folder in {file.parent for file in used} for file in files_in(folder, SUFFIXES)}
     others = sorted((file.name for file in beside - set(used)), key=numeric_key)
-    if others:
-        names = listed(others, 5)
-        _log.warning("%s: %d pictures are left out, as the model does not place them: %s", path, len(others), names)
-    if others and len({file.parent for file in used}) == len(used) > 1:
+    if not others:
+        return
+    names = listed(others, 5)
+    _log.warning("%s: %d pictures are left out, as the model does not place them: %s", path, len(others), names)
+    if len({file.parent for file in used}) == len(used) > 1:
         _log.warning("%s: each camera has a folder here; if its other pictures are later instants, put those of each "
                      "instant into a folder frames/0000, frames/0001, ..., called as in the model", path)  # fmt: skip
 
