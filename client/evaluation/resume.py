@@ -1,9 +1,9 @@
-"""Resume an earlier measurement: results that its report holds are not measured again."""
+"""Resume an earlier measurement: results that its report holds stay, and are not measured again."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +29,33 @@ def earlier_report(path: Path, facts: Mapping[str, Any]) -> dict[str, Any]:
         raise InputError(path, "is not a report; name another folder for the results")
     other = [each for name, value in facts.items() for each in _differing(name, as_json(value), found.get(name))]
     if other:
-        fault = f"holds measurements with another {spoken(other)}; name another folder by --out, or remove it"
+        fault = f"holds measurements that differ in {spoken(other)}; name another folder by --out, or remove it"
         raise InputError(path, fault)
     return found
+
+
+def with_earlier(
+    wanted: Sequence[dict[str, Any]],
+    earlier: Sequence[dict[str, Any]],
+    runs: str,
+    same: Callable[[dict[str, Any]], Any],
+) -> list[dict[str, Any]]:
+    """The `wanted` entries of a report with the runs that `earlier` ones hold, then those that nothing new replaces.
+
+    Args:
+        runs: key of an entry's runs. same: what entries have in common of which one continues the other. Where that
+            has changed, the wanted entry of a name takes the earlier one's place.
+    """
+    found = {json.dumps(same(entry), sort_keys=True): entry for entry in earlier}
+    names = {entry["name"] for entry in wanted}
+    continued = (found.get(json.dumps(same(entry), sort_keys=True), entry) for entry in wanted)
+    begun = [{**old, **new, runs: old[runs]} for new, old in zip(wanted, continued, strict=True)]
+    return [*begun, *(entry for entry in earlier if entry["name"] not in names)]
+
+
+def missing_seeds(entry: dict[str, Any], runs: str, seeds: int) -> list[int]:
+    """Which of the first `seeds` an entry has no run of."""
+    return sorted({*range(seeds)} - {run["seed"] for run in entry[runs]})
 
 
 def _differing(name: str, wanted: Any, found: Any) -> list[str]:

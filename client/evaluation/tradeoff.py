@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -13,20 +12,26 @@ from typing import Any
 import numpy as np
 
 from streamlod.client.evaluation.design import BASE, Point, one_at_a_time
-from streamlod.client.evaluation.measure.footage import Footage, chosen_split, footage_frames, open_footage
+from streamlod.client.evaluation.measure.footage import (
+    Footage,
+    chosen_split,
+    footage_frames,
+    open_footage,
+    pictures_digest,
+)
 from streamlod.client.evaluation.measure.machine import machine
 from streamlod.client.evaluation.options import TradeoffOptions
 from streamlod.client.evaluation.report.output import result_folder, write_json
 from streamlod.client.evaluation.report.pareto import pareto_front
 from streamlod.client.evaluation.report.plots import cost_plot
 from streamlod.client.evaluation.report.tables import number, table
-from streamlod.client.evaluation.resume import as_json, earlier_report
+from streamlod.client.evaluation.resume import as_json, earlier_report, missing_seeds, with_earlier
 from streamlod.client.evaluation.summary import mean, run_figures
 from streamlod.client.evaluation.systems import FirstFrames, SystemRun, run_system
 from streamlod.core.files import write_text
 
 _log = logging.getLogger(__name__)
-SCHEMA = 5
+SCHEMA = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +60,8 @@ def run_tradeoff(data: Path, out: Path, options: TradeoffOptions, points: Sequen
     """Measure and write `tradeoff.json` (points and fronts), `tradeoff.md` and plots into `out`; returns a sentence.
 
     The figures are written after every run, all points with one seed before the next seed, and the plots at the end, so
-    that a sweep that is stopped leaves what it has measured. Runs that `out` holds already are not measured again.
+    that a sweep that is stopped leaves what it has measured. Runs that `out` holds already stay in the report, those of
+    other points too, and are not measured again.
 
     Args:
         points: configurations to measure instead of the design's.
@@ -70,22 +76,23 @@ def run_tradeoff(data: Path, out: Path, options: TradeoffOptions, points: Sequen
     value: dict[str, Any] = {
         "schema": SCHEMA,
         "data": data.resolve().name,
+        "pictures": pictures_digest(data),
         "machine": machine(options.device),
         "base": BASE,
         "split": {"name": split.name, "train": list(split.train), "test": list(split.test)},
         "downscale": options.downscale,
-        "seeds": options.seeds,
         "frames": footage_frames(data, options.frames),
         "points": [],
         "fronts": {},
     }
-    facts = {key: value[key] for key in ("schema", "data", "machine", "split", "downscale", "frames")}
-    known = _known_runs(earlier_report(out / "tradeoff.json", facts))
-    entries = [_entry(point) for point in points]
+    facts = {key: value[key] for key in ("schema", "pictures", "machine", "split", "downscale", "frames")}
+    earlier = earlier_report(out / "tradeoff.json", facts).get("points", [])
+    entries = with_earlier(
+        [_entry(point) for point in points], earlier, "runs", lambda entry: [entry["config"], entry["shrink"]]
+    )
     try:
-        for seed, (point, entry) in itertools.product(range(options.seeds), zip(points, entries, strict=True)):
-            found = known.get((_identity(entry), seed))
-            if found is None:
+        for seed, (row, point) in itertools.product(range(options.seeds), enumerate(points)):
+            if seed in missing_seeds(entries[row], "runs", options.seeds):
                 if point.shrink not in footages:
                     trained_at = options.downscale * point.shrink
                     footage = open_footage(
@@ -94,13 +101,14 @@ def run_tradeoff(data: Path, out: Path, options: TradeoffOptions, points: Sequen
                     footages[point.shrink] = footage, FirstFrames(options.device)
                 found = _figures(run_system(replace(point.config, seed=seed), *footages[point.shrink]))
                 _log.info("%s, seed %d: %.2f dB", point.name, seed, found["psnr"])
-            entry["runs"].append(found)
+                entries[row] = {**entries[row], "runs": [*entries[row]["runs"], found]}
             value["points"] = [_means(measured) for measured in entries if measured["runs"]]
             value["fronts"] = fronts(value["points"])
             _write(out, value)
     finally:
         _draw(out, value)
-    return f"{out / 'tradeoff.md'}: {len(points)} points, {len(value['fronts'][COSTS[0].key])} on the front of seconds"
+    front = value["fronts"][COSTS[0].key]
+    return f"{out / 'tradeoff.md'}: {len(value['points'])} points, {len(front)} on the front of seconds"
 
 
 def _entry(point: Point) -> dict[str, Any]:
@@ -114,22 +122,13 @@ def _means(entry: dict[str, Any]) -> dict[str, Any]:
     runs = entry["runs"]
     means = {key: mean(run[key] for run in runs) for key in _MEASURED}
     deviation = float(np.std([run["psnr"] for run in runs], ddof=1)) if len(runs) > 1 else 0.0
-    return {**means, "psnr_spread": deviation, **entry}
-
-
-def _known_runs(earlier: dict[str, Any]) -> dict[tuple[str, int], dict[str, Any]]:
-    """Runs of an earlier report, by what identifies the point, and seed."""
-    return {(_identity(point), run["seed"]): run for point in earlier.get("points", []) for run in point["runs"]}
+    return {**entry, **means, "psnr_spread": deviation}
 
 
 def _figures(run: SystemRun) -> dict[str, Any]:
     figures = run_figures(run)
     figures["render_milliseconds"] = 1000 / figures["render_fps"]
     return {key: figures[key] for key in ("seed", *_MEASURED)}
-
-
-def _identity(point: dict[str, Any]) -> str:
-    return json.dumps([point["config"], point["shrink"]], sort_keys=True)
 
 
 def _write(out: Path, value: dict[str, Any]) -> None:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from streamlod.core.data import Dataset, Split, linspace_split, open_dataset, prefetch, read_split
 from streamlod.core.errors import InputError
@@ -57,6 +61,20 @@ def footage_frames(data: Path, frames: int | None) -> int:
     """How many frames of a recording are used; `frames` is the most, None for all."""
     count = open_dataset(data).frame_count
     return count if frames is None else min(frames, count)
+
+
+def pictures_digest(data: Path) -> str:
+    """A digest of a recording's cameras, rate, length and first pictures: what tells it from others of its name."""
+    recording = open_dataset(data).recording
+    source, digest = recording.source, hashlib.blake2b(digest_size=8)
+    digest.update(f"{source.fps:.6f} {source.frame_count}".encode())
+    for row, camera in enumerate(recording.cameras):
+        digest.update(f"{camera.name} {camera.width}x{camera.height}".encode())
+        with closing(source.pictures(row, 0, 1)) as pictures:
+            arrays = (camera.intrinsics, camera.distortion, camera.world_to_camera, next(pictures))
+        for array in arrays:
+            digest.update(b"" if array is None else np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
 
 
 def open_footage(

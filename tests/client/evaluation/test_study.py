@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import pytest
 
 from streamlod.client.evaluation.design import one_at_a_time
-from streamlod.client.evaluation.measure.footage import chosen_split
+from streamlod.client.evaluation.measure.footage import chosen_split, pictures_digest
 from streamlod.client.evaluation.options import StudyOptions, TradeoffOptions
 from streamlod.client.evaluation.resume import earlier_report
 from streamlod.client.evaluation.rows import Row, study_rows
@@ -20,6 +20,7 @@ from streamlod.client.evaluation.summary import FIGURES
 from streamlod.client.evaluation.tradeoff import COSTS, beaten_by, run_tradeoff
 from streamlod.core.data.pictures import read_picture
 from streamlod.core.errors import InputError
+from streamlod.core.synthetic import write_clip
 from tests.client.evaluation.conftest import SPEC, shortened
 
 
@@ -80,6 +81,37 @@ def test_a_study_goes_on_where_it_stopped(clip: Path, tmp_path: Path) -> None:
     assert measure(replace(row, config=shorter), 1)[0]["psnr"] != first["psnr"]
 
 
+@pytest.mark.long
+def test_what_a_study_measured_stays_in_its_report(clip: Path, tmp_path: Path) -> None:
+    """Other systems, other splits and further seeds stay when a later study in the same folder names fewer."""
+    ours, paper, *_ = (replace(row, config=shortened(row.config)) for row in study_rows("balanced", []))
+    out = tmp_path / "out"
+
+    def measure(rows: tuple[Row, ...], views: int, seeds: int = 1) -> dict[str, Any]:
+        run_study(clip, out, StudyOptions(views=(views,), frames=1, seeds=seeds, device="cpu"), rows)
+        return json.loads((out / "study.json").read_text())
+
+    before = measure((ours, paper), 2, seeds=2)
+    after = measure((ours,), 3)
+    assert after["splits"][0] == before["splits"][0]
+    assert after["seeds"] == [0, 1]
+    assert measure((ours,), 2) == after
+    named = {
+        name for split in after["splits"] for name in (*split["plots"], *(row["picture"] for row in split["rows"]))
+    }
+    assert {path.name for path in out.iterdir()} == {*named, "study.json", "study.md"}
+    with pytest.raises(InputError, match="differ in preset"):
+        run_study(clip, out, StudyOptions(views=(2,), frames=1, preset="live", device="cpu"), (ours,))
+
+
+def test_a_report_knows_its_data_by_their_pictures_and_cameras(tmp_path: Path) -> None:
+    places = [tmp_path / part / "clip" for part in ("a", "b", "c")]
+    for place, spec in zip(places, (SPEC, replace(SPEC, kind="night"), SPEC), strict=True):
+        write_clip(replace(spec, frames=1), place)
+    first, other, same = map(pictures_digest, places)
+    assert first == same != other
+
+
 def test_a_split_file_must_hold_out_cameras_that_exist(clip: Path, tmp_path: Path) -> None:
     split = tmp_path / "split.json"
     for text, fault in (
@@ -101,7 +133,7 @@ def test_files_that_were_measured_otherwise_or_are_no_reports_are_not_overwritte
         earlier_report(path, {})
     path.write_text('{"schema": 2, "data": "room", "protocol": {"frames": 4, "downscale": 2}}')
     assert earlier_report(path, {"data": "room"})["schema"] == 2
-    with pytest.raises(InputError, match=r"measurements with another data and frames; name another folder by --out"):
+    with pytest.raises(InputError, match=r"measurements that differ in data and frames; name another folder by --out"):
         earlier_report(path, {"data": "kitchen", "protocol": {"frames": 3, "downscale": 2}, "schema": 2})
     path.write_text("[]")
     with pytest.raises(InputError, match="is not a report"):
@@ -136,5 +168,7 @@ def test_a_sweep_writes_points_fronts_and_plots(clip: Path, tmp_path: Path) -> N
     better = {point["name"]: beaten_by(point, value["points"]) for point in value["points"]}
     assert better[best] == []
     assert not any(name in beaten for name, beaten in better.items())
+    run_tradeoff(clip, tmp_path, replace(options, seeds=1), points[:1])
+    assert json.loads((tmp_path / "tradeoff.json").read_text()) == value  # what was measured stays
     report = (tmp_path / "tradeoff.md").read_text()
     assert all(name in report for name in names)
