@@ -6,6 +6,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 MAX_NAME_BYTES = 64  # of a camera's name in the bitstream
@@ -70,6 +71,24 @@ def like_most(folders: Sequence[Path]) -> list[Path]:
     if not common or 2 * common[0][1] <= len(folders):
         return list(folders)
     return [folder for folder, shape in zip(folders, shapes, strict=True) if shape == common[0][0]]
+
+
+def instant_numbers(names: Sequence[str]) -> tuple[int, ...]:
+    """How many periods after the first each of `names` lies, which are in numeric order and called by their number.
+
+    A period is the least step between two of them, of which all steps are multiples: 10, 20 and 40 give 0, 1 and 3.
+    What does not go by one number so, such as times in milliseconds, is counted: 0, 1, 2.
+    """
+    counted = tuple(range(len(names)))
+    keys = [numeric_key(name) for name in names]
+    differing = [part for part in zip(*keys, strict=False) if len(set(part)) > 1]
+    if len({len(key) for key in keys}) > 1 or len(differing) != 1 or any(text for _, _, text in differing[0]):
+        return counted
+    numbers = [number for _, number, _ in differing[0]]
+    steps = [after - before for before, after in pairwise(numbers)]
+    if min(steps) == 0 or any(step % min(steps) for step in steps):
+        return counted
+    return tuple((number - numbers[0]) // min(steps) for number in numbers)
 
 
 def camera_names(names: Sequence[str]) -> list[str]:

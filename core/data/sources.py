@@ -102,9 +102,11 @@ class Pictures:
 
     Attributes:
         files: for each instant, one a camera; a camera without a file that can be read is missing at that instant.
+        numbers: ascending, how many periods after the first one each instant lies.
     """
 
     files: tuple[tuple[Path, ...], ...]
+    numbers: tuple[int, ...] = (0,)
     fps: float = FPS_OF_PICTURES
 
     @property
@@ -114,7 +116,7 @@ class Pictures:
 
     def time_ns(self, index: int) -> int:
         """Capture time from the clip's start, at a supposed rate."""
-        return round(index * 1e9 / self.fps)
+        return round(self.numbers[index] * 1e9 / self.fps)
 
     def pictures(self, camera: int, start: int, stop: int) -> Generator[UInt8 | None, None, None]:
         """Yield pictures; see `Source.pictures`."""

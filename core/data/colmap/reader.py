@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
+from itertools import pairwise
 from pathlib import Path, PurePosixPath
 
 from streamlod.core.camera import Camera
 from streamlod.core.data.colmap.model import ColmapModel, find_model, has_model, points_of, read_model
 from streamlod.core.data.dataset import RawRecording
 from streamlod.core.data.files import blaming
-from streamlod.core.data.names import files_in, folders_in, inside, like_most, listed, numeric_key
+from streamlod.core.data.names import files_in, folders_in, inside, instant_numbers, like_most, listed, numeric_key
 from streamlod.core.data.pictures import SUFFIXES, find_pictures, not_read, picture_size
 from streamlod.core.data.sources import Pictures
 from streamlod.core.errors import InputError
@@ -44,7 +45,8 @@ def read_colmap(path: Path) -> RawRecording:
     model = read_model(model_folder)
     if twice := [name for name, count in Counter(image.name for image in model.images).items() if count > 1]:
         raise InputError(model_folder, f"places pictures twice: {listed(twice, 3)}")
-    instants = [_pictures_folder(folder) for folder in _instants(path, home)]
+    folders = _instants(path, home)
+    instants = [_pictures_folder(folder) for folder in folders]
     found = _registered_files(model, instants[0])
     skipped = tuple(name for name, file in found.items() if file is None)
     if skipped:
@@ -65,7 +67,8 @@ def read_colmap(path: Path) -> RawRecording:
             cameras.append(
                 (fitted(camera, picture_size(files[name]), files[name]), files[name].relative_to(instants[0]))
             )
-    source = Pictures(tuple(tuple(folder / relative for _, relative in cameras) for folder in instants))
+    files_of = tuple(tuple(folder / relative for _, relative in cameras) for folder in instants)
+    source = Pictures(files_of, _numbers(folders))
     return RawRecording(
         path,
         "colmap",
@@ -101,6 +104,17 @@ def _instants(path: Path, home: Path) -> list[Path]:
     if home != path:
         return [home, *(folder for folder in instants if numeric_key(folder.name) > numeric_key(home.name))]
     return instants or [path]
+
+
+def _numbers(instants: list[Path]) -> tuple[int, ...]:
+    """How many periods after the first each instant lies by its folder's number; those left out are logged."""
+    numbers = instant_numbers([folder.name for folder in instants])
+    if missing := numbers[-1] + 1 - len(numbers):
+        gaps = (folder for folder, (a, b) in zip(instants, pairwise(numbers), strict=False) if b > a + 1)
+        after = listed((folder.name for folder in gaps), 5)
+        fault = "%s: %d instants have no folder, after %s; the one before each is shown until the next"
+        _log.warning(fault, instants[0].parent, missing, after)
+    return numbers
 
 
 def _pictures_folder(instant: Path) -> Path:

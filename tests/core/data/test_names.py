@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from streamlod.core.data.names import camera_names, in_numeric_order, like_most, listed, spoken
+import pytest
+
+from streamlod.core.data.names import camera_names, in_numeric_order, instant_numbers, like_most, listed, spoken
 
 
 def test_numbers_sort_as_numbers() -> None:
@@ -44,3 +46,21 @@ def test_folders_like_most() -> None:
     assert names("frame_9", "frame_10", "frame_10_old") == ["frame_9", "frame_10"]
     assert names("begin", "end") == ["begin", "end"]
     assert names() == []
+
+
+@pytest.mark.parametrize(
+    ("names", "numbers"),
+    [
+        (["0000", "0001", "0003"], (0, 1, 3)),
+        (["take2_10", "take2_20", "take2_40"], (0, 1, 3)),
+        (["t7"], (0,)),
+        (["frames"], (0,)),
+        (["1700000000033", "1700000000066", "1700000000100"], (0, 1, 2)),  # milliseconds
+        (["a1_b2", "a2_b1", "a2_b9"], (0, 1, 2)),
+        (["1", "01", "2"], (0, 1, 2)),
+        (["one", "two"], (0, 1)),
+        (["1", "1b", "c"], (0, 1, 2)),
+    ],
+)
+def test_instants_lie_where_their_numbers_say(names: list[str], numbers: tuple[int, ...]) -> None:
+    assert instant_numbers(names) == numbers
