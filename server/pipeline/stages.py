@@ -38,7 +38,7 @@ from streamlod.server.ingest.live import LiveDataset, open_live
 from streamlod.server.ingest.statistics import Statistics
 from streamlod.server.pipeline.bounded_queue import Outlet, made_by
 from streamlod.server.pipeline.checks import synthetic_spec
-from streamlod.server.pipeline.dark_start import contrast, is_worth_anew
+from streamlod.server.pipeline.dark_start import contrast, contrast_of_scene, is_dark, is_worth_anew
 from streamlod.server.pipeline.draft import draft_scene
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.rehearsal import rehearse
@@ -320,7 +320,7 @@ class _Training:
             target_kbps=job.target_kbps,
         )
         self._refresh = RefreshSchedule(RefreshRule(max_age=job.keyframe_interval), size.size_bytes)
-        self._first_contrast: float | None = None  # of the pictures that the first frame was trained of
+        self._first_contrast = 0.0  # of the pictures that the first frame was trained of
 
     def run(self, resume: Scene | None, start: int) -> None:
         """Train all frames from `start`, after the state to resume if there is one."""
@@ -329,6 +329,7 @@ class _Training:
         shift = 0
         if resume is not None:
             self._trainer.resume(resume)
+            self._first_contrast = contrast_of_scene(resume, self._dataset.cameras)
             shift = resume.version + 1 - start
         with closing(self._opened.frames(start, self._trainer.prepare)) as frames:
             for filmed, read in frames:
@@ -343,10 +344,7 @@ class _Training:
 
     def _begins_anew(self, frame: FrameSet) -> bool:
         """Whether the first frame had too little in it, and this one has something; see `dark_start`."""
-        now = contrast(frame)
-        if self._first_contrast is None:  # after a restart
-            self._first_contrast = now
-        if not is_worth_anew(self._first_contrast, now):
+        if not is_dark(self._first_contrast) or not is_worth_anew(self._first_contrast, contrast(frame)):
             return False
         _LOG.info("version %d: trained anew, as there was next to nothing in the first pictures", frame.index)
         return True
