@@ -117,7 +117,7 @@ export class PushLink {
     if (this.state !== "open" || !socket) return;
     this.counts.dropped += this.underWay.length;
     this.underWay = [];
-    this.refusals = 0;
+    this.refusals = this.counts.refused = 0; // perhaps of another name
     this.state = "connecting";
     this.open();
     socket.close(1000);

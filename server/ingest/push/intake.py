@@ -83,6 +83,7 @@ class Intake:
         self._clocks: dict[str, CaptureClock] = {}
         self._decoders: dict[str, av.VideoCodecContext] = {}
         self._sounds: dict[str, PushedSound] = {}
+        self._refused: set[str] = set()  # cameras of which a picture was refused
 
     def accept(self, message: PushMessage) -> None:
         """Give the message's picture or sound to the rig; a repeated one is ignored.
@@ -101,6 +102,7 @@ class Intake:
             self._accept(message, size)
         except InputError as error:
             if message.camera not in self._newest or self._target.holds(message.camera, self):
+                self._refused.add(message.camera)
                 self._target.note_decoded(message.camera, error.fault)
             raise
 
@@ -146,8 +148,11 @@ class Intake:
         return {"fps": target.fps, "cameras": cameras}
 
     def close(self) -> None:
-        """The capture node has gone."""
-        for camera in filter(lambda name: self._target.holds(name, self), self._newest):
+        """The capture node has gone, and what was refused of it is no fault of who comes next under its names."""
+        held = [name for name in self._newest if self._target.holds(name, self)]
+        for camera in {*held, *(name for name in self._refused if not self._target.is_held(name))}:
+            self._target.note_decoded(camera)
+        for camera in held:
             self._target.gone(camera, "its phone or capture node has disconnected", ended=False)
 
     def _time(self, message: PushMessage) -> CaptureTime | None:

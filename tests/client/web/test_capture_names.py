@@ -64,6 +64,12 @@ def test_a_phone_whose_name_was_taken_keeps_it_rather_than_film_as_a_camera_else
         says(one, "If this is phone1, press Stop there and Film here; else choose another name.")
         assert one.input_value("#name") == "phone1"
         assert one.eval_on_selector("#name", "(list) => list.selectedOptions[0].text") == "phone1 (in use)"
+        one.select_option("#name", "phone2")
+        one.click("#film")
+        says(one, "Filming as phone2")
+        found.wait(2)
+        one.evaluate("document.getElementById('figures').replaceChildren()")
+        one.wait_for_function("document.getElementById('figures').textContent.includes('Refused0')")  # of this name
 
 
 def test_a_phone_tells_who_holds_it_what_is_wrong_with_its_place_or_name(

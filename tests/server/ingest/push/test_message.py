@@ -220,6 +220,31 @@ def test_refuses_pictures_that_do_not_fit(live: Frames) -> None:
             intake.accept(PushMessage(camera, 5, rig.now_ns, codec, body))
 
 
+def test_what_a_node_was_refused_goes_with_it(tmp_path: Path) -> None:
+    """A phone that films as another camera, or not at all, leaves no complaint of a picture's size or damage behind."""
+    live = Frames(open_live(write_definition(tmp_path, ["push:", "push:"], {"quorum": 1})))
+    rig = live.dataset.rig
+    assert rig is not None
+    first, other = Intake(rig), Intake(rig)
+    small = bytes(cv2.imencode(".jpg", np.zeros((8, 8, 3), np.uint8))[1])
+    with pytest.raises(InputError, match="8x8"):
+        first.accept(PushMessage("cam0", 1, rig.now_ns, Codec.JPEG, small))
+    first.accept(PushMessage("cam1", 1, rig.now_ns, Codec.PNG, encoded(3)))
+    rig.note_decoded("cam1", "sent a picture that does not decode")  # as training finds out
+    assert "8x8" in rig.statistics().cameras["cam0"].refused
+    with pytest.raises(InputError, match="8x8"):
+        other.accept(PushMessage("cam1", 1, rig.now_ns, Codec.JPEG, small))
+    other.close()  # it never held cam1, which first still sends
+    assert rig.statistics().cameras["cam1"].refused
+    first.close()
+    cameras = rig.statistics().cameras
+    live.close()
+    assert {name: (camera.refused, camera.fault) for name, camera in cameras.items()} == {
+        "cam0": ("", ""),
+        "cam1": ("", "its phone or capture node has disconnected"),
+    }
+
+
 def test_a_damaged_picture_counts_as_missing(tmp_path: Path) -> None:
     path = write_definition(tmp_path, ["push:", "push:"], {"quorum": 1})
     live = Frames(open_live(path))
