@@ -7,7 +7,7 @@ leaves beside it.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +27,8 @@ from streamlod.client.evaluation.measure.scores import PictureScore, draw, load_
 from streamlod.client.evaluation.report.output import result_folder, side_by_side
 from streamlod.client.recorder import write_png
 from streamlod.client.recording import RecordedFrame, decode_frames
+from streamlod.core.arrays import UInt8
+from streamlod.core.camera import Camera
 from streamlod.core.camera.space import space_of
 from streamlod.core.data import Dataset, open_dataset
 from streamlod.core.data.names import listed
@@ -96,7 +98,8 @@ def evaluate_file(
             picture, drawn = score(decoded.scene, cameras, truth, perception)
             movers = movers or MovingPixels(dataset.calibrated[: len(cameras)], spec)
             moving = moving_score(drawn, truth, movers.masks(index, truth), perception.alex)
-            stood = _at_cameras(decoded.scene, frame, dataset, len(test), None if scores else spec)
+            seen = dict(zip(cameras, drawn, strict=True))
+            stood = _at_cameras(decoded.scene, frame, dataset, len(test), None if scores else spec, seen)
             scores.append(DecodedScore(index, picture, decoded.key_bytes, decoded.predicted_bytes, moving, stood))
             if images is not None:
                 for camera, *pair in zip(cameras, truth, drawn, strict=True):
@@ -114,12 +117,25 @@ def _measured(test: tuple[str, ...], dataset: Dataset) -> int:
 
 
 def _at_cameras(
-    scene: Scene, frame: FrameSet, dataset: Dataset, held_out: int, spec: SyntheticSpec | None
+    scene: Scene,
+    frame: FrameSet,
+    dataset: Dataset,
+    held_out: int,
+    spec: SyntheticSpec | None,
+    seen: Mapping[Camera, UInt8],
 ) -> dict[str, Any]:
-    """Quality at the cameras of `dataset` that trained, those after the first `held_out`, if in this frame."""
+    """Quality at the cameras of `dataset` that trained, those after the first `held_out`, if in this frame.
+
+    Args:
+        seen: pictures that are drawn already, by camera.
+    """
     chosen = [row for row in range(held_out, len(dataset.cameras)) if frame.present[row]]
     cameras = [dataset.cameras[row] for row in chosen]
-    return places(lambda camera: draw(scene, camera), cameras, frame.images[chosen], spec, frame.index, dataset.space)
+
+    def shown(camera: Camera) -> UInt8:
+        return seen[camera] if camera in seen else draw(scene, camera)
+
+    return places(shown, cameras, frame.images[chosen], spec, frame.index, dataset.space)
 
 
 def _pairs(

@@ -6,6 +6,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,10 +14,14 @@ import pytest
 
 from streamlod.client.commands import evaluate, export
 from streamlod.client.evaluation.file_scores import evaluate_file
+from streamlod.client.evaluation.measure import scores
 from streamlod.client.evaluation.report.output import side_by_side
+from streamlod.core.arrays import UInt8
+from streamlod.core.camera import Camera
 from streamlod.core.errors import InputError
-from streamlod.core.render.splatter import Splatter
+from streamlod.core.render.splatter import Splatter, draw_cloud
 from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.gaussians import GaussianCloud
 from tests.client.clips import plain_scene, states, write_clip
 from tests.core.data.writers import llff_rows, write_video
 
@@ -92,6 +97,26 @@ def test_a_rig_that_holds_out_no_camera_is_measured_at_its_own(
         (tmp_path / "data" / f"{name}.mp4").rename(tmp_path / "data" / f"cam{70 + number}.mp4")
     with pytest.raises(InputError, match="has none of the cameras that trained"):
         evaluate_file(scene, tmp_path / "data", ())
+
+
+def test_what_was_drawn_to_be_measured_is_not_drawn_again_for_its_place(
+    clip: tuple[Path, Path, list[Scene], list[bytes]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, data, scenes, _ = clip
+    names = tuple(camera.name for camera in scenes[0].header.cameras)
+    drawings, counts = 0, list[int]()
+
+    def counting(cloud: GaussianCloud, camera: Camera, *further: Any) -> UInt8:
+        nonlocal drawings
+        drawings += 1
+        return draw_cloud(cloud, camera, *further)
+
+    monkeypatch.setattr(scores, "draw_cloud", counting)
+    for test in (names, ()):
+        drawings = 0
+        evaluate_file(scene, data, test)
+        counts.append(drawings)
+    assert counts[0] == counts[1] > 0
 
 
 def test_cameras_that_trained_and_those_that_did_not_are_told_apart(
