@@ -33,12 +33,9 @@ SHOWN = 12  # places with the most launches
 STEPS = ((KeyframeTrainer, "step"), (FrameTraining, "_step"))
 # Inside a first frame's step, but in one of many: anchors come and go, and how these are rounded is measured.
 REFINING = (
-    (streamlod.core.train.keyframe.trainer, "refine"),
-    (KeyframeTrainer, "_astray"),
-    (KeyframeTrainer, "_measured_precision"),
-    (KeyframeTrainer, "_drop_idle_levels"),
+    (streamlod.core.train.keyframe.trainer, "precision_within"),
+    (KeyframeTrainer, "_refine"),
     (KeyframeTrainer, "_order_by_effect"),
-    (KeyframeTrainer, "_begin_with_anchors"),
 )
 
 

@@ -11,6 +11,7 @@ from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import Trainer, preset
 from streamlod.core.train.keyframe.trainer import KeyframeTrainer
 from streamlod.core.train.later_frame.training import FrameTraining
+from tests.bench.launches_bench import measured
 from tests.core.true_points import true_points
 from tests.device.pretend import Counts, counted
 
@@ -57,3 +58,14 @@ def test_steps_do_not_wait(gpu: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert not any(counts.waits for counts in steps[later:])
     usual = sorted(sum(counts.launches.values()) for counts in steps[:later])[later // 2]
     assert max(usual, *(sum(counts.launches.values()) for counts in steps[later:])) < MAX_LAUNCHES
+
+
+@pytest.mark.long
+def test_the_bench_counts_what_one_of_many_steps_does_by_itself() -> None:
+    config = preset("live")
+    config = replace(config, keyframe=replace(config.keyframe, steps=30))
+    clip = open_synthetic(SyntheticSpec(cameras=3, frames=1, width=64, height=36, seed=2))
+    first = measured(clip, config)["first frame"]
+    assert first.steps == 30
+    assert not first.step.waits
+    assert first.refining.waits

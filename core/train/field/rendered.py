@@ -19,7 +19,7 @@ def rendered(field: Field, alive: Tensor, views: Views, backend: Backend) -> Ten
     with torch.no_grad():
         for number in views.usable:
             camera = views.cameras[number]
-            splats = field.decode(torch.from_numpy(camera.centre).float().to(rows.device), rows)
+            splats = field.decode(views.centres[number], rows)
             raster = rasterise(*splats.astuple(), camera=camera, background=background, backend=backend)
             pictures[number] = raster.image.clamp(0, 1)
     return pictures

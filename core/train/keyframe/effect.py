@@ -19,18 +19,19 @@ _HALVINGS = 8  # of the anchors, until what may go is known to a 256th of them
 
 
 def anchor_effects(
-    anchors: int, draw: Callable[[int, Tensor], Tensor], views: list[int], seed: int, device: torch.device
+    anchors: int, draw: Callable[[int, tuple[Tensor, ...]], Tensor], views: list[int], seed: int, device: torch.device
 ) -> Tensor:
     """[N] squared error that leaving out each anchor alone would add, in the mean of the views; an estimate.
 
     Args:
-        draw: the picture [H,W,3] of a view, in any unit, whose opacities are multiplied by [N] shares of the anchors.
+        draw: the picture [H,W,3] of a view, in any unit, whose opacities are multiplied by the [N] shares that it is
+            given of the anchors, in a tuple.
         views: at least one. seed: of the signs (`core.train.keyframe.precision.signed_gradients`).
     """
     times = max(1, round(_PROBES / len(views)))
     total = torch.zeros(anchors, device=device)
     present = torch.ones(anchors, device=device)
-    for (gradient,) in signed_gradients((present,), lambda view, leaves: draw(view, leaves[0]), views * times, seed):
+    for (gradient,) in signed_gradients((present,), draw, views * times, seed):
         total += gradient.square()
     return total / (times * len(views))
 

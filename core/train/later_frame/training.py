@@ -70,14 +70,14 @@ class FrameTraining:
         memory: float = 0.9,
     ) -> None:
         state, views = seen.state, seen.pictures.views
-        field, device = state.field, state.field.feature.device
+        field = state.field
         others = state.alive.index_fill(0, seen.rows, False)
         cameras = [views.cameras[number] for number in views.usable]
         pixels = steps_a_pixel(field.with_rows(seen.rows), state.scene.header.position_steps, cameras)
         self.anchors = TrainedAnchors(state, seen.rows, pixels, memory)
         self._hooks, self._all, self._exposure, self._useful = hooks, field, exposure, useful
         self._shown = state.known.shown
-        self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
+        self._centres = views.centres
         static_splats = _static_splats(field, torch.nonzero(others)[:, 0], self._centres)
         static = [exposure.before(splats, number) for number, splats in enumerate(static_splats)]
         self._whole = PlannedViews(seen.pictures, static, exposure.offset, backend)

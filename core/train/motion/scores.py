@@ -71,7 +71,7 @@ def _mean_gradients(seen: Observation, field: Field, numbers: list[int], *, of_c
         camera, mask = seen.views.cameras[number], seen.masks[number]
         if splats is None or field.view_dependent:
             with torch.no_grad():
-                splats = field.decode(torch.from_numpy(camera.centre).float().to(rows.device), rows)
+                splats = field.decode(seen.views.centres[number], rows)
         tiles = torch.from_numpy(tiles_near(mask.cpu().numpy(), 0)).to(rows.device) if of_changes else None
         raster = rasterise(
             splats.means.detach().requires_grad_(),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
+import torch
 from torch import Tensor
 from torch.nn import functional
 
@@ -12,13 +14,18 @@ from streamlod.core.camera import Camera
 _MIN_ROWS = 80  # of small pictures
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)  # without slots, to keep what is worked out once
 class Views:
     """Training pictures: cameras, targets [C,H,W,3] float32 in [0, 1], and which of them are there."""
 
     cameras: tuple[Camera, ...]
     targets: Tensor
     usable: list[int]
+
+    @cached_property
+    def centres(self) -> list[Tensor]:
+        """C times [3] where a camera stands, on the device of the pictures."""
+        return [torch.from_numpy(camera.centre).float().to(self.targets.device) for camera in self.cameras]
 
     @property
     def contrast(self) -> float:

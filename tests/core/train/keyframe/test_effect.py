@@ -31,16 +31,16 @@ def test_an_effect_is_what_a_picture_without_the_anchor_shows() -> None:
     rest = torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1), torch.full((count, 3), 0.2)
     opacities = torch.from_numpy(generator.uniform(0.2, 0.95, count).astype(np.float32))
 
-    def draw(view: int, present: Tensor) -> Tensor:
-        shown = opacities * present.repeat_interleave(SLOTS)
+    def draw(view: int, shares: tuple[Tensor, ...]) -> Tensor:
+        shown = opacities * shares[0].repeat_interleave(SLOTS)
         return rasterise(means, *rest, shown, colours, cameras[view], torch.zeros(3)).image
 
-    whole = [draw(view, torch.ones(ANCHORS)) for view in (0, 1)]
+    whole = [draw(view, (torch.ones(ANCHORS),)) for view in (0, 1)]
     exact = torch.zeros(ANCHORS)
     for anchor in range(ANCHORS):
         present = torch.ones(ANCHORS)
         present[anchor] = 0
-        exact[anchor] = sum(float((draw(view, present) - whole[view]).square().sum()) for view in (0, 1)) / 2
+        exact[anchor] = sum(float((draw(view, (present,)) - whole[view]).square().sum()) for view in (0, 1)) / 2
     trials = [anchor_effects(ANCHORS, draw, [0, 1], seed, torch.device("cpu")) for seed in range(12)]
     found = torch.stack(trials).mean(dim=0)
     assert float(exact[1:].max() / exact[1:].min()) > 5  # there is something to tell apart
