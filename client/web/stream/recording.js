@@ -11,7 +11,7 @@ const AHEAD_MS = 500; // how long a request may take
 const LATE_MS = 300; // a keyframe that takes longer is shown level by level
 const DAMAGED = "a part of the file is damaged or missing";
 const STALL_MS = 1000; // that a frame is waited for
-const MAX_GAP_MS = 10_000; // nobody waits longer where nothing was filmed
+const MAX_GAP_MS = 10_000; // nobody waits longer where nothing was filmed; as core/gaps.py
 
 export class Recording {
   /** @param {string} url @param {string | null} token @param {import("./connection.js").Handlers} handlers @param {boolean} loop - begin again at the end */

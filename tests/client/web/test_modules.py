@@ -16,6 +16,7 @@ import pytest
 
 from streamlod.codec.container import SlodWriter
 from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.core.gaps import MAX_GAP_SECONDS
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import expand
 from streamlod.core.scene.residual import difference
@@ -108,6 +109,12 @@ def test_page_preloads_what_its_main_module_does_not_import_itself(name: str, ma
     announced = re.findall(r'modulepreload" href="(.+?)"', (WEB / name).read_text())
     assert sorted(announced) == sorted(_reached(main) - {main} - set(_imports(main)))
     assert len(announced) < 16
+
+
+def test_the_page_passes_over_gaps_as_python_does() -> None:
+    """The page can be served by anything, so that it holds a copy of the figure."""
+    (held,) = re.findall(r"MAX_GAP_MS = ([\d_]+)", (WEB / "stream" / "recording.js").read_text())
+    assert int(held) == 1000 * MAX_GAP_SECONDS
 
 
 def _walk(first: Scene, profile: int) -> tuple[list[Scene], list[bytes]]:

@@ -324,7 +324,7 @@ def test_who_looked_at_another_tab_is_not_called_slow(page: Any, clip: Clip) -> 
         page.evaluate("hides = true")
         behaviour.newest = 2
         page.wait_for_function("document.hidden", polling=50, **WAIT)
-        page.wait_for_timeout(2000)
+        page.wait_for_timeout(2000)  # were it drawing, it would be called slow after 1.6 s
         page.evaluate("hide(false)")
         behaviour.newest = 3
         shows(page, "s.version === 3")
