@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-import torch
 
 from streamlod.core.arrays import Float32, Float64, Int64
 from streamlod.core.camera import Camera
@@ -17,6 +16,7 @@ from streamlod.core.initialise.stereo.sweep import pair_geometry
 from streamlod.core.initialise.views import unproject
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.kernels.windows import best_depths
+from streamlod.core.train.pictures.projection import projected
 from streamlod.core.train.pictures.views import Views
 
 _OTHERS = 3  # nearest views that a pixel is looked for in
@@ -91,8 +91,7 @@ def best_planes(
 
 def inverse_depths(living: Field, camera: Camera, baseline: float) -> Float64:
     """[D] inverse depths, a pixel of parallax apart for a view `baseline` world units away, over all that is there."""
-    axis = torch.from_numpy(camera.world_to_camera[2]).to(living.position)
-    depth = (living.position @ axis[:3] + axis[3]).cpu().numpy()
+    depth = projected(living.position, camera)[2].cpu().numpy()
     nearest, farthest = np.quantile(depth[depth > 0], [_NEAREST, _FARTHEST]) if (depth > 0).any() else (1.0, 2.0)
     ends = 1 / (farthest * _ROOM), _ROOM / nearest
     steps = np.ceil(float(camera.intrinsics[0, 0]) * baseline * (ends[1] - ends[0]) / _PARALLAX)

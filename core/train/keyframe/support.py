@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from streamlod.core.camera import Camera
+from streamlod.core.train.pictures.projection import projected
 
 _LEAST_PRICE = 0.25  # of the price on opacity, for what one camera alone sees: what no picture needs still goes
 _SAME_SIDE = math.cos(math.radians(60))  # of the angle between two cameras as seen from a place
@@ -52,15 +53,7 @@ def view_support(supported: Tensor, position: Tensor, cameras: Sequence[Camera])
 
 def in_view(position: Tensor, cameras: Sequence[Camera]) -> Tensor:
     """[C,N] bool: which of `cameras` have the places `position` [N,3] in their pictures, whatever hides them."""
-    visible = []
-    for camera in cameras:
-        pose = torch.from_numpy(camera.world_to_camera).to(position)
-        lens = torch.from_numpy(camera.intrinsics).to(position)
-        x, y, depth = (position @ pose[:3, :3].T + pose[:3, 3]).unbind(dim=1)
-        safe = depth.clamp_min(1e-6)
-        column, row = lens[0, 0] * x / safe + lens[0, 2], lens[1, 1] * y / safe + lens[1, 2]
-        visible.append((depth > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height))
-    return torch.stack(visible)
+    return torch.stack([projected(position, camera)[3] for camera in cameras])
 
 
 def price_share(supported: Tensor) -> Tensor:

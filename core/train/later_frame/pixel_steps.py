@@ -14,6 +14,7 @@ from torch import Tensor
 from streamlod.core.arrays import Float32
 from streamlod.core.camera import Camera
 from streamlod.core.train.field.field import Field
+from streamlod.core.train.pictures.projection import projected
 
 _UNSEEN = 4.0  # steps a pixel of anchors that no camera shows
 
@@ -27,11 +28,6 @@ def steps_a_pixel(field: Field, position_steps: Float32, cameras: Sequence[Camer
     position, step = field.position, torch.from_numpy(position_steps).to(field.position)[field.level]
     pixels = torch.zeros_like(step)
     for camera in cameras:
-        pose = torch.from_numpy(camera.world_to_camera).to(position)
-        intrinsics = torch.from_numpy(camera.intrinsics).to(position)
-        seen = position @ pose[:3, :3].T + pose[:3, 3]
-        depth = seen[:, 2].clamp_min(torch.finfo(seen.dtype).tiny)
-        column, row = ((seen / depth[:, None]) @ intrinsics.T)[:, :2].unbind(dim=1)
-        inside = (seen[:, 2] > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-        pixels = torch.where(inside, torch.maximum(pixels, step * intrinsics[0, 0] / depth), pixels)
+        _, _, depth, inside = projected(position, camera)
+        pixels = torch.where(inside, torch.maximum(pixels, step * float(camera.intrinsics[0, 0]) / depth), pixels)
     return torch.where(pixels > 0, 1 / pixels, _UNSEEN)[:, None]

@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from streamlod.core.arrays import Float32, UInt8
-from streamlod.core.camera import Camera
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.pictures.boxes import around
 from streamlod.core.train.pictures.parallel import map_pictures
+from streamlod.core.train.pictures.projection import projected
 from streamlod.core.train.pictures.views import Views
 
 _MIN_SIDE = 16  # pixels; the method refuses smaller pictures
@@ -56,7 +56,7 @@ def anchor_flow(field: Field, rows: Tensor, filmed: Tensor, views: Views, masks:
         moved = torch.zeros(*masks[number].shape, 2, device=device)
         moved[tuple(box)] = torch.from_numpy(pixels).to(device)
         going = masks[number] & (moved.norm(dim=2) >= least)
-        anchors, row, column = _pixels_of(field, rows, views.cameras[number])
+        anchors, row, column = _pixels_of(field, rows, views, number)
         there = going[row, column]
         seen[number, anchors[there]] = 1.0
         flow[number, anchors[there]] = moved[row[there], column[there]]
@@ -79,20 +79,16 @@ def _grey(picture: Float32) -> UInt8:
     return np.asarray(cv2.cvtColor(levels.astype(np.uint8), cv2.COLOR_RGB2GRAY))
 
 
-def _pixels_of(field: Field, rows: Tensor, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
+def _pixels_of(field: Field, rows: Tensor, views: Views, number: int) -> tuple[Tensor, Tensor, Tensor]:
     """Which of the anchors `rows` lie in a camera's picture, and their rows and columns there.
 
     An anchor lies at the mean of its Gaussians, weighted by opacity.
     """
     with torch.no_grad():
-        splats = field.decode(torch.from_numpy(camera.centre).float().to(rows.device), rows)
+        splats = field.decode(views.centres[number], rows)
     weight = splats.opacities.clamp_min(0).reshape(len(rows), -1, 1)
     opacity = weight.sum(dim=1)
     place = (splats.means.reshape(len(rows), -1, 3) * weight).sum(dim=1) / opacity.clamp_min(1e-6)
-    pose, intrinsics = (torch.from_numpy(part).to(place) for part in (camera.world_to_camera, camera.intrinsics))
-    there = place @ pose[:3, :3].T + pose[:3, 3]
-    pixels = there @ intrinsics.T
-    column, row = (pixels[:, :2] / pixels[:, 2:].clamp_min(1e-6)).nan_to_num().clamp(-1, 2**24).floor().long().unbind(1)
-    inside = (there[:, 2] > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+    column, row, _, inside = projected(place, views.cameras[number])
     anchors = torch.nonzero(inside & (opacity[:, 0] > _VISIBLE))[:, 0]
-    return anchors, row[anchors], column[anchors]
+    return anchors, row[anchors].long(), column[anchors].long()
