@@ -253,17 +253,17 @@ def _told(opened: OpenJob, pictures: CameraPictures | None, sender: Sender) -> I
 def play(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
     """Send the packets of a recorded file at the pace at which they were filmed."""
     from streamlod.codec.packet.packet import PacketKind
-    from streamlod.server.pipeline.recorded import streamed_packets
+    from streamlod.server.pipeline.recorded import streamed_packets, whole_packets
 
     assert spec.play is not None
     entries = streamed_packets(spec.play)
-    start = 0
+    start, damaged = 0, set[int]()
     if resume.frames:
         done = min(resume.frames, len(entries)) - 1
         start = max(n for n in range(done + 1) if entries[n][1].kind is PacketKind.KEY)
     while True:
         begin = time.monotonic() - entries[start][1].time_ns / 1e9
-        for number, (_, info, data) in enumerate(_packets(spec, entries)):
+        for number, info, data in whole_packets(spec.play, entries, damaged):
             if number < start:
                 continue
             wait = begin + info.time_ns / 1e9 - time.monotonic()
@@ -278,15 +278,6 @@ def play(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
         time.sleep(_frame_seconds(entries))
         sender.send(Tag.EPOCH)
         start = 0
-
-
-def _packets(spec: StreamSpec, entries: Sequence[tuple[int, Any]]) -> Iterator[tuple[int, Any, bytes]]:
-    from streamlod.codec.container import SlodReader
-
-    assert spec.play is not None
-    with SlodReader(spec.play) as reader:
-        for number, entry in entries:
-            yield number, entry, reader.read(number)
 
 
 def _frame_seconds(entries: Sequence[tuple[int, Any]]) -> float:

@@ -15,6 +15,7 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Any, Protocol
 
+from streamlod.core.errors import BitstreamError
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import WorkerSettings
 from streamlod.server.worker.cluster.room import Shortage
@@ -230,8 +231,12 @@ class Supervisor:
                     if _is_progress(tag, body):
                         self._progressed = self._clock.now()
                 except Exception as error:
-                    _LOG.exception("stream %s: a message of the worker is refused", self._spec.id)
-                    self._ending = Ending(f"the worker sent something unusable ({error})")
+                    of_file = self._spec.play is not None and isinstance(error, BitstreamError)
+                    if of_file:  # which stays as it is
+                        self._ending = Ending(f"{self._spec.play} cannot be decoded ({error})", fatal=True)
+                    else:
+                        _LOG.exception("stream %s: a message of the worker is refused", self._spec.id)
+                        self._ending = Ending(f"the worker sent something unusable ({error})")
                     return
                 finally:
                     self._heard, self._handling = self._clock.now(), False

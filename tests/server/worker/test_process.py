@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from streamlod.codec.container import SlodWriter
 from streamlod.core.errors import InputError
 from streamlod.core.frames import FrameSet
 from streamlod.server.pipeline.job import TrainJob
@@ -60,6 +61,53 @@ def test_a_file_is_played_packet_by_packet(clip: Clip, monkeypatch: pytest.Monke
     collect.messages.clear()
     received(clip, Resume(frames=75))
     assert [body for tag, body in collect.messages if tag is Tag.PACKET] == clip.packets[60:]
+
+
+def damage(clip: Clip, *versions: int) -> None:
+    """Change a byte in the middle of the packets of these versions."""
+    data = bytearray(clip.path.read_bytes())
+    for version in versions:
+        at = data.index(clip.packets[version]) + len(clip.packets[version]) // 2
+        data[at] ^= 1
+    clip.path.write_bytes(data)
+
+
+def test_what_is_damaged_of_a_file_is_left_out_up_to_the_next_keyframe(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clip = make_clip(tmp_path / "clip.slod", 9, counts=(5, 10), key_every=3, frame_ns=1)
+    damage(clip, 1, 6)
+    monkeypatch.setattr("streamlod.server.worker.process.Sender.send", collect := Collector())
+    received(clip, Resume())
+    assert [body for tag, body in collect.messages if tag is Tag.PACKET] == [clip.packets[n] for n in (0, 3, 4, 5)]
+    left_out = [record.getMessage() for record in caplog.records]
+    assert [line.split(": ")[1] for line in left_out] == [
+        f"left out from frame {n} up to the next keyframe" for n in (1, 6)
+    ]
+
+
+def test_a_file_of_which_nothing_is_whole_fails_with_a_sentence_and_is_not_tried_again(tmp_path: Path) -> None:
+    clip = make_clip(tmp_path / "clip.slod", 3, counts=(5, 10))
+    damage(clip, 0)
+    with running(Settings(), StreamSpec(play=clip.path)) as server:
+        found = server.wait(lambda stream: stream["state"] == "failed")
+    assert found["restarts"] == 0
+    assert found["detail"] == f"{clip.path}: is damaged: none of its keyframes is whole"
+
+
+def test_a_file_whose_packets_do_not_belong_together_is_not_tried_again(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    one, other = (make_clip(tmp_path / f"{n}.slod", 2, counts=(5, n)) for n in (10, 20))
+    mixed = tmp_path / "mixed.slod"
+    with SlodWriter(mixed) as writer:
+        writer.append(one.packets[0])
+        writer.append(other.packets[1])
+    with running(Settings(), StreamSpec(play=mixed)) as server:
+        found = server.wait(lambda stream: stream["state"] == "failed")
+    assert found["restarts"] == 0
+    assert found["detail"].startswith(f"{mixed} cannot be decoded (")
+    assert not [record for record in caplog.records if record.exc_info]
 
 
 def test_where_to_go_on_is_told_by_pipe_however_long_it_is() -> None:
