@@ -87,9 +87,9 @@ def train_later_frame(state: State, views: Views, index: int, means: Means) -> L
         hooks = started(means.config.parts, seen, means.allows, watch)
         with watch.stage("train"):
             useful = _useful(coarse, config)
-            training = FrameTraining(seen, hooks, means.exposure, useful, means.backend, config.memory)
+            training = FrameTraining(seen, hooks, means.exposure, useful, means.backend, config)
             generator = torch.Generator().manual_seed(means.config.seed + index)
-            update = training.run(config, generator, means.pace)
+            update = training.run(generator, means.pace)
     with watch.stage("round"):
         if plan is not None:
             update = strongest_changes(update, plan.most_changes_beside(update.new))

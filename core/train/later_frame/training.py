@@ -22,9 +22,9 @@ from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.later_frame.anchors import TrainedAnchors
-from streamlod.core.train.later_frame.comparison import Beginning
+from streamlod.core.train.later_frame.comparison import Beginning, Comparison
 from streamlod.core.train.later_frame.pixel_steps import steps_a_pixel
-from streamlod.core.train.later_frame.planned import PlannedViews
+from streamlod.core.train.later_frame.planned import PlannedView, planned_view
 from streamlod.core.train.later_frame.steps import steps_of
 from streamlod.core.train.later_frame.update import IntegerUpdate, no_update
 from streamlod.core.train.loss.photometric import photometric_loss
@@ -57,7 +57,7 @@ class FrameTraining:
         exposure: of the cameras.
         useful: cameras to train on, the most important first.
         backend: of the rasteriser.
-        memory: Adam's beta_1.
+        config: of later frames, after rate control.
     """
 
     def __init__(
@@ -67,37 +67,28 @@ class FrameTraining:
         exposure: Exposure,
         useful: list[int],
         backend: Backend,
-        memory: float = 0.9,
+        config: PredictConfig,
     ) -> None:
         state, views = seen.state, seen.pictures.views
-        field = state.field
-        others = state.alive.index_fill(0, seen.rows, False)
         cameras = [views.cameras[number] for number in views.usable]
-        pixels = steps_a_pixel(field.with_rows(seen.rows), state.scene.header.position_steps, cameras)
-        self.anchors = TrainedAnchors(state, seen.rows, pixels, memory)
-        self._hooks, self._all, self._exposure, self._useful = hooks, field, exposure, useful
-        self._shown = state.known.shown
-        self._centres = views.centres
-        static_splats = _static_splats(field, torch.nonzero(others)[:, 0], self._centres)
-        static = [exposure.before(splats, number) for number, splats in enumerate(static_splats)]
-        self._whole = PlannedViews(seen.pictures, static, exposure.offset, backend)
-        self._half: PlannedViews | None = None
-        if seen.coarse is not seen.pictures:
-            self._half = PlannedViews(seen.coarse, static, exposure.offset, backend)
+        pixels = steps_a_pixel(state.field.with_rows(seen.rows), state.scene.header.position_steps, cameras)
+        self.anchors = TrainedAnchors(state, seen.rows, pixels, config.memory)
         self.numbers = list[int]()
+        self._seen, self._hooks, self._exposure, self._useful = seen, hooks, exposure, useful
+        self._backend, self._config, self._centres = backend, config, views.centres
+        others = torch.nonzero(state.alive.index_fill(0, seen.rows, False))[:, 0]
+        static = enumerate(_static_splats(state.field, others, self._centres))
+        self._static = [exposure.before(splats, number) for number, splats in static]
+        self._whole: dict[int, PlannedView] = {}
+        self._half: dict[int, PlannedView] | None = {} if seen.coarse is not seen.pictures else None
 
-    def run(
-        self,
-        config: PredictConfig,
-        generator: torch.Generator,
-        pace_of: Callable[[int], Pace] = fixed_steps,
-    ) -> IntegerUpdate:
+    def run(self, generator: torch.Generator, pace_of: Callable[[int], Pace] = fixed_steps) -> IntegerUpdate:
         """Train as configured and round.
 
         Args:
             pace_of: makes the pace of a number of steps.
         """
-        total = steps_of(config, self._whole.pictures.masks[self._useful])
+        config, total = self._config, steps_of(self._config, self._seen.pictures.masks[self._useful])
         pace = pace_of(total)
         self._prepare(pace)
         if not self.numbers:
@@ -110,7 +101,7 @@ class FrameTraining:
             if progress >= config.half_size_until:
                 self._half = None
             number = next(order)
-            loss, raster = self._step(number, config, config.final_rate**progress)
+            loss, raster = self._step(number, config.final_rate**progress)
             losses.append(loss)
             if progress >= config.average_from:
                 self.anchors.average()
@@ -122,7 +113,7 @@ class FrameTraining:
         self.anchors.settle()
         last = float(torch.stack(losses[-len(self.numbers) :]).mean())
         update = self.anchors.update(self._visible(), len(losses), last)
-        return replace(update, complete=len(losses) >= total and len(self._whole.caches) == len(self._useful))
+        return replace(update, complete=len(losses) >= total and len(self._whole) == len(self._useful))
 
     def splats_at(self, number: int, position: Tensor) -> Splats:
         """The Gaussians of the anchors for a camera, if these had gone `position` [n,3] steps."""
@@ -133,55 +124,56 @@ class FrameTraining:
 
         They need to be right only where they differ: elsewhere, neither may be drawn.
         """
-        one, other = self._planned(number).caches[number].render_two(first, second)
+        one, other = self._planned(number).cache.render_two(first, second)
         return one.image, other.image
 
     def target(self, number: int) -> Tensor:
         """[h,w,3] what a camera should film, of the size of `draw_two`."""
-        return self._planned(number).pictures.views.targets[number]
+        return self._planned(number).target
 
     def show(self, field: Field, rows: Tensor) -> Tensor:
         """[C,H,W,3] what the cameras film once `field` has taken over at `rows`; as before where nothing changed.
 
         NaN for a camera that nobody had time for, and for one of which nothing was known.
         """
-        pictures = self._shown.clone()
-        pictures[[number for number in self._useful if number not in self._whole.caches]] = torch.nan
+        pictures = self._seen.state.known.shown.clone()
+        pictures[[number for number in self._useful if number not in self._whole]] = torch.nan
         with torch.no_grad():
-            for number, cache in self._whole.caches.items():
-                splats = field.decode(self._centres[number], rows)
-                pictures[number] = cache.render_exactly(self._exposure.before(splats, number)).image
+            for number, view in self._whole.items():
+                pictures[number] = view.cache.render_exactly(self._filmed(field.with_rows(rows), number)).image
         return pictures
 
     def _prepare(self, pace: Pace) -> None:
         """Plan the cameras' pictures, as far as time allows."""
-        with torch.no_grad():
-            for number in self._useful:
-                if self.numbers and pace(0) > _PREPARATION:
-                    break
-                if not self._whole.plan(number, self._splats(number)).is_empty:
-                    self.numbers.append(number)
+        for number in self._useful:
+            if self.numbers and pace(0) > _PREPARATION:
+                break
+            self._whole[number] = self._plan(self._seen.pictures, number)
+            if not self._whole[number].cache.is_empty:
+                self.numbers.append(number)
 
-    def _planned(self, number: int) -> PlannedViews:
-        """The pictures of the size that is trained now, that of camera `number` planned."""
+    def _planned(self, number: int) -> PlannedView:
+        """Camera `number` at the size that is trained now."""
         if self._half is None:
-            return self._whole
-        if number not in self._half.caches:
-            with torch.no_grad():
-                self._half.plan(number, self._splats(number))
-            self._half.allow_for_size(number, self._filmed(self.anchors.base, number))
-        return self._half
+            return self._whole[number]
+        if number not in self._half:
+            view = self._plan(self._seen.coarse, number)
+            self._half[number] = view.allowing_for_size(self._filmed(self.anchors.base, number))
+        return self._half[number]
 
-    def _step(self, number: int, config: PredictConfig, decay: float) -> tuple[Tensor, Raster]:
+    @torch.no_grad()
+    def _plan(self, pictures: Comparison, number: int) -> PlannedView:
+        static, background = self._static[number], self._exposure.offset[number]
+        changed_weight = self._config.changed_weight
+        return planned_view(pictures, number, self._splats(number), static, background, self._backend, changed_weight)
+
+    def _step(self, number: int, decay: float) -> tuple[Tensor, Raster]:
         """One view, one update; returns the detached loss, and what was drawn."""
-        planned, moves = self._planned(number), self.anchors.moves
-        splats, cache = self._splats(number, moves), planned.caches[number]
-        raster = cache.render(splats)
-        target, weights = self.target(number), planned.pixel_weights(number, config.changed_weight)
-        loss = photometric_loss(raster.image, target, config.dssim_weight, cache.region, weights)
+        config, view, moves = self._config, self._planned(number), self.anchors.moves
+        raster = view.cache.render(self._splats(number, moves))
+        loss = photometric_loss(raster.image, view.target, config.dssim_weight, view.cache.region, view.weights)
         if config.rate_weight:
-            numbers = self._whole.pictures.views.targets[number].numel()
-            loss = loss + config.rate_weight * self.anchors.bits(moves) / numbers
+            loss = loss + config.rate_weight * self.anchors.bits(moves) / self._whole[number].target.numel()
         loss.backward()  # type: ignore[no-untyped-call]
         self.anchors.step(config, decay)
         return loss.detach(), raster
@@ -197,13 +189,9 @@ class FrameTraining:
     def _visible(self) -> Bool:
         """For each anchor as it will be sent, whether any camera may see it."""
         field = self.anchors.field()
-        if not self._all.looks_the_same:  # what is transparent to one camera may not be so to another
+        if not field.looks_the_same:  # what is transparent to one camera may not be so to another
             return np.ones(len(field), np.bool_)
-        opacity = (
-            field.decode(self._centres[self._whole.pictures.views.usable[0]])
-            .opacities.reshape(len(field), -1)
-            .amax(dim=1)
-        )
+        opacity = field.decode(self._centres[0]).opacities.reshape(len(field), -1).amax(dim=1)
         return np.asarray((opacity > _TRANSPARENT).cpu().numpy())
 
 

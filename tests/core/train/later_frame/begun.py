@@ -23,6 +23,7 @@ from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.progress import Stopwatch
 
 PLENTY = 1 << 20
+USUAL = PredictConfig()
 
 
 def bare_state(scene: Scene) -> State:
@@ -52,8 +53,9 @@ def training_of(
     max_new: int = PLENTY,
     bit_price: float = 0.0,
     backend: Backend = "cpu",
+    config: PredictConfig = USUAL,
 ) -> FrameTraining:
     """Training of the anchors `trained` [N], by all usable cameras."""
     seen = beginning_of(state, trained, views, masks, max_new=max_new, bit_price=bit_price)
     hooks = started(parts, seen, lambda stage: True, Stopwatch())
-    return FrameTraining(seen, hooks, neutral(len(views.cameras)), list(views.usable), backend)
+    return FrameTraining(seen, hooks, neutral(len(views.cameras)), list(views.usable), backend, config)

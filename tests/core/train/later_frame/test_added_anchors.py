@@ -126,8 +126,9 @@ def trained(scene: Scene, targets: Tensor, most_new: int) -> tuple[FrameTraining
     views = Views(CAMERAS, targets, [0, 1, 2, 3])
     some = np.arange(len(state.field)) % 2 == 0
     masks = torch.ones(4, HEIGHT, WIDTH, dtype=torch.bool)
-    trainer = training_of(state, some, views, masks, (GROWING,), max_new=most_new, bit_price=CONFIG.rate_weight)
-    update = trainer.run(CONFIG, torch.Generator().manual_seed(0))
+    price = CONFIG.rate_weight
+    trainer = training_of(state, some, views, masks, (GROWING,), max_new=most_new, bit_price=price, config=CONFIG)
+    update = trainer.run(torch.Generator().manual_seed(0))
     return trainer, update, state
 
 
@@ -163,8 +164,9 @@ def test_without_a_step_nothing_is_added(scene: Scene, targets: Tensor) -> None:
     state = bare_state(scene)
     masks = torch.ones(4, HEIGHT, WIDTH, dtype=torch.bool)
     everything = np.ones(len(state.field), np.bool_)
-    trainer = training_of(state, everything, Views(CAMERAS, targets, [0, 1, 2, 3]), masks, (GROWING,), max_new=40)
-    update = trainer.run(replace(CONFIG, epochs=0), torch.Generator().manual_seed(0))
+    views, config = Views(CAMERAS, targets, [0, 1, 2, 3]), replace(CONFIG, epochs=0)
+    trainer = training_of(state, everything, views, masks, (GROWING,), max_new=40, config=config)
+    update = trainer.run(torch.Generator().manual_seed(0))
     assert update.new == 0
 
 

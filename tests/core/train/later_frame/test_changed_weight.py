@@ -28,8 +28,9 @@ def errors(changed_weight: float) -> list[float]:
     views = replace(views, targets=torch.stack([(filmed[0] + 0.15).clamp(max=1), (filmed[1] - 0.15).clamp(min=0)]))
     masks = torch.stack([torch.ones(48, 64, dtype=torch.bool), torch.zeros(48, 64, dtype=torch.bool)])
     everything = np.ones(len(state.field), np.bool_)
-    trainer = training_of(state, everything, views, masks)
-    trainer.run(replace(CONFIG, changed_weight=changed_weight), torch.Generator().manual_seed(0))
+    config = replace(CONFIG, changed_weight=changed_weight)
+    trainer = training_of(state, everything, views, masks, config=config)
+    trainer.run(torch.Generator().manual_seed(0))
     shown = trainer.show(trainer.anchors.field(), torch.arange(len(state.field)))
     there = filmed[0].amax(dim=2) > 0.3
     return [float((one - other)[there].abs().mean()) for one, other in zip(shown, views.targets, strict=True)]

@@ -40,9 +40,9 @@ def test_the_mean_of_the_last_steps_is_sent(average_from: float, last: int, monk
     views = Views((camera,), torch.rand(1, HEIGHT, WIDTH, 3, generator=torch.Generator().manual_seed(0)), [0])
     masks = torch.ones(1, HEIGHT, WIDTH, dtype=torch.bool)
     everything = np.ones(len(state.field), np.bool_)
-    trainer = training_of(state, everything, views, masks)
+    trainer = training_of(state, everything, views, masks, config=config)
     latents = _after_each_step(trainer.anchors.optimiser, monkeypatch)
-    update = trainer.run(config, torch.Generator().manual_seed(0))
+    update = trainer.run(torch.Generator().manual_seed(0))
     assert update.steps == len(latents) == 8
     assert not torch.equal(latents[-1], latents[-2])
     mean = torch.stack(latents[-last:]).mean(dim=0).numpy()

@@ -14,7 +14,7 @@ from streamlod.core.train.field.convert import scene_of
 from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.rendered import rendered
 from streamlod.core.train.later_frame.comparison import Comparison
-from streamlod.core.train.later_frame.planned import PlannedViews
+from streamlod.core.train.later_frame.planned import PlannedView, planned_view
 from streamlod.core.train.later_frame.state import KnownPictures, State
 from streamlod.core.train.pictures.views import Views
 from tests.core.train.fields import random_field
@@ -31,15 +31,19 @@ def state() -> State:
     return bare_state(scene_of(random_field(200), PredictConfig(), (CAMERA,), 30.0, 0))
 
 
-def planned(state: State, targets: Tensor, shown: Tensor | None) -> tuple[PlannedViews, Splats]:
-    """Views at half the size of which every second anchor is trained; the Gaussians of these."""
+def comparison(targets: Tensor, shown: Tensor | None) -> Comparison:
     masks = torch.zeros(1, HEIGHT, WIDTH, dtype=torch.bool)
     masks[0, 11, 21] = True
+    known = KnownPictures(targets, targets, torch.full_like(targets, torch.nan) if shown is None else shown)
+    return Comparison(Views((CAMERA,), targets, [0]), masks, known)
+
+
+def planned(state: State, targets: Tensor, shown: Tensor | None) -> tuple[PlannedView, Splats]:
+    """The view at half the size of which every second anchor is trained; the Gaussians of these."""
     trained = torch.arange(len(state.field)) % 2 == 0
     moving, still = (state.field.decode(CENTRE, torch.nonzero(rows)[:, 0]).detached() for rows in (trained, ~trained))
-    known = KnownPictures(targets, targets, torch.full_like(targets, torch.nan) if shown is None else shown)
-    pictures = Comparison(Views((CAMERA,), targets, [0]), masks, known)
-    return PlannedViews(pictures.halved(), [still], torch.zeros(1, 3), "cpu"), moving
+    half = comparison(targets, shown).halved()
+    return planned_view(half, 0, moving, still, torch.zeros(3), "cpu", 1.5), moving
 
 
 def picture_of(state: State) -> Tensor:
@@ -48,30 +52,32 @@ def picture_of(state: State) -> Tensor:
 
 def test_half_the_size_is_half_of_everything(state: State) -> None:
     shown = picture_of(state)
-    half = planned(state, shown, shown)[0].pictures
+    half = comparison(shown, shown).halved()
     assert half.views.targets.shape == (1, HEIGHT // 2, WIDTH // 2, 3)
     assert (half.views.cameras[0].width, half.views.cameras[0].height) == (WIDTH // 2, HEIGHT // 2)
     assert half.masks.nonzero().tolist() == [[0, 5, 10]]
     torch.testing.assert_close(half.known.shown[0, 5, 10], shown[0, 10:12, 20:22].mean(dim=(0, 1)))
 
 
+def test_errors_of_changed_pixels_count_more(state: State) -> None:
+    weights = planned(state, picture_of(state), None)[0].weights
+    assert weights is not None
+    assert weights[5, 10].tolist() == [2.5, 2.5, 2.5]
+    assert float(weights.sum()) == weights.numel() + 3 * 1.5
+
+
 def test_what_has_not_changed_asks_for_nothing(state: State) -> None:
     shown = picture_of(state)
     half, moving = planned(state, shown, shown)
-    cache = half.plan(0, moving)
-    drawn = cache.render(moving).image.clone()
-    assert float((drawn - half.pictures.views.targets[0]).abs().max()) > 0.005  # they are drawn wider
-    half.allow_for_size(0, moving)
-    torch.testing.assert_close(half.pictures.views.targets[0], drawn)
+    drawn = half.cache.render(moving).image.clone()
+    assert float((drawn - half.target).abs().max()) > 0.005  # they are drawn wider
+    torch.testing.assert_close(half.allowing_for_size(moving).target, drawn)
 
 
 def test_what_has_changed_asks_for_as_much_as_at_full_size(state: State) -> None:
     shown = picture_of(state)
-    brighter = (shown + 0.25).clone()
-    half, moving = planned(state, brighter, shown)
-    cache = half.plan(0, moving)
-    half.allow_for_size(0, moving)
-    wanted = half.pictures.views.targets[0] - cache.render(moving).image
+    half, moving = planned(state, (shown + 0.25).clone(), shown)
+    wanted = half.allowing_for_size(moving).target - half.cache.render(moving).image
     torch.testing.assert_close(wanted, torch.full_like(wanted, 0.25))
 
 
@@ -79,7 +85,4 @@ def test_where_nothing_is_known_to_be_shown_the_picture_itself_counts(state: Sta
     target = picture_of(state)
     for shown in (None, torch.full_like(target, torch.nan)):
         half, moving = planned(state, target, shown)
-        before = half.pictures.views.targets.clone()
-        half.plan(0, moving)
-        half.allow_for_size(0, moving)
-        torch.testing.assert_close(half.pictures.views.targets, before)
+        torch.testing.assert_close(half.allowing_for_size(moving).target, half.target)

@@ -72,13 +72,12 @@ def test_the_mode_sees_what_makes_a_host_wait() -> None:
 @pytest.mark.parametrize("view_dependent", [False, True])
 def test_a_step_asks_the_device_for_nothing(monkeypatch: pytest.MonkeyPatch, view_dependent: bool) -> None:
     monkeypatch.setattr(streamlod.core.render.cuda, "_gsplat", lambda: splat)
-    config = PredictConfig(rate_weight=0.005)
     trainer = on_meta(prepared(view_dependent))
     assert isinstance(trainer, FrameTraining)
-    trainer._step(0, config, 1.0)  # constants of the camera and of the tables are sent once
+    trainer._step(0, 1.0)  # constants of the camera and of the tables are sent once
     before = trainer.anchors.optimiser.parameters["latent"]
     with NoNumbers(), NoMemory():
-        loss, _ = trainer._step(0, config, 0.9)
+        loss, _ = trainer._step(0, 0.9)
     assert loss.device.type == "meta"
     assert trainer.anchors.optimiser.parameters["latent"] is before
 
@@ -93,8 +92,8 @@ def prepared(view_dependent: bool) -> FrameTraining:
     some = np.arange(len(field)) % 3 == 0
     views = Views((camera,), torch.rand(1, HEIGHT, WIDTH, 3), [0])
     masks = torch.ones(1, HEIGHT, WIDTH, dtype=torch.bool)
-    trainer = training_of(state, some, views, masks, backend="cuda")
-    trainer._whole.plan(0, trainer._splats(0))
+    trainer = training_of(state, some, views, masks, backend="cuda", config=PredictConfig(rate_weight=0.005))
+    trainer._whole[0] = trainer._plan(trainer._seen.pictures, 0)
     return trainer
 
 
