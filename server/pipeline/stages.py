@@ -10,7 +10,7 @@ import json
 import logging
 import time
 from collections.abc import Callable, Generator, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -227,7 +227,7 @@ def train_clip(
     """Train a clip into the file `out`, which appears when it is complete; figures go into `out`.json.
 
     The sound that `sound` names, as in `choose_sound`, goes into `out`.opus. A fault after the first frame, such as a
-    damaged picture, ends the files there, with all frames trained before.
+    damaged picture or a full disk, ends the files there, with all frames trained before.
 
     Raises:
         TrainingCutShort: such a fault, one that is foreseen; another one is raised as it is, with a note.
@@ -238,8 +238,12 @@ def train_clip(
     with SlodWriter(out) as writer, closing(train_stream(opened, on_progress=on_progress)) as frames:
         for encoded in _up_to_fault(frames, faults):
             begin = time.perf_counter()
-            for packet in encoded.packets:
-                writer.append(packet)
+            try:
+                for packet in encoded.packets:
+                    writer.append(packet)
+            except OSError as error:
+                faults.append(InputError(out, f"cannot be written ({error.strerror})"))
+                break
             written = Span("write", "write", begin, time.perf_counter())
             reports.append(encoded.report)
             if encoded.version == 0:
@@ -249,9 +253,6 @@ def train_clip(
             on_frame(replace(encoded, spans=(*encoded.spans, written)))
         if faults and not reports:
             raise faults[0]
-    if isinstance(dataset, Dataset):
-        source = dataset.recording.source
-        write_beside(out, chosen, source.time_ns(len(reports) - 1) / 1e9 + 1 / source.fps)
     cut = TrainingCutShort(out, str(faults[0]), len(reports), opened.stop) if faults else None
     figures = {
         "train_seconds": float(np.mean(seconds)) if seconds else None,
@@ -262,7 +263,12 @@ def train_clip(
         "cut_short": None if cut is None else str(cut),
         "per_frame": reports,
     }
-    write_text(out.with_name(out.name + ".json"), json.dumps(figures, indent=1))
+    untold: tuple[type[Exception], ...] = (InputError, OSError) if cut else ()  # what came first is told
+    with suppress(*untold):
+        write_text(out.with_name(out.name + ".json"), json.dumps(figures, indent=1))
+        if isinstance(dataset, Dataset):
+            source = dataset.recording.source
+            write_beside(out, chosen, source.time_ns(len(reports) - 1) / 1e9 + 1 / source.fps)
     if cut is not None:
         if isinstance(faults[0], StreamlodError | OSError):
             raise cut from faults[0]

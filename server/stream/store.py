@@ -286,7 +286,7 @@ class Recording:
             self._stop(error)
 
     def _stop(self, error: Exception) -> None:
-        self.fault = f"recording stopped: {error}"
+        self.fault = f"recording stopped: {getattr(error, 'strerror', None) or error}"  # without the file's name
         _LOG.error("stream %s: %s", self._stream, self.fault)
 
     def _abandon(self) -> None:

@@ -17,6 +17,7 @@ from streamlod.core.errors import BitstreamError, InputError
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.residual import difference
 from tests.codec.scenes import assert_same_state, make_scene, steps
+from tests.small_disk import files_up_to
 from tests.work import lines, memory
 
 FRAMES = 6
@@ -55,6 +56,37 @@ def test_an_exception_leaves_nothing_behind(tmp_path: Path, clip: tuple[list[Sce
         writer.append(clip[1][0])
         raise RuntimeError
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_leaves_what_was_written_whole(tmp_path: Path, clip: tuple[list[Scene], list[bytes]]) -> None:
+    path, (_, packets) = tmp_path / "a.slod", clip
+    with SlodWriter(path) as writer:
+        writer.append(packets[0])
+        (written,) = (each.stat().st_size for each in tmp_path.iterdir())
+        with files_up_to(written + len(packets[1]) // 2), pytest.raises(OSError, match=r"a\.slod"):
+            writer.append(packets[1])
+    with SlodReader(path) as reader:
+        assert ([*reader.packets()], reader.is_whole) == ([packets[0]], True)
+
+
+def test_a_disk_without_room_for_the_index_leaves_a_file_without(
+    tmp_path: Path, clip: tuple[list[Scene], list[bytes]]
+) -> None:
+    path, (_, packets) = tmp_path / "a.slod", clip
+    writer = SlodWriter(path)
+    writer.append(packets[0])
+    (written,) = (each.stat().st_size for each in tmp_path.iterdir())
+    with files_up_to(written + 4):
+        writer.close()
+    with SlodReader(path) as reader:
+        assert ([*reader.packets()], reader.records_end) == ([packets[0]], written)
+    assert [*tmp_path.iterdir()] == [path]
+
+
+def test_a_full_disk_is_told_before_anything_is_written(tmp_path: Path) -> None:
+    with files_up_to(2), pytest.raises(OSError, match=r"a\.slod"):
+        SlodWriter(tmp_path / "a.slod")
+    assert [*tmp_path.iterdir()] == []
 
 
 def test_every_torn_end_gives_the_packets_before_it(tmp_path: Path, clip: tuple[list[Scene], list[bytes]]) -> None:

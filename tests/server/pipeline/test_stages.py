@@ -6,6 +6,7 @@ import json
 import multiprocessing
 import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import asdict, replace
 from itertools import pairwise
 from pathlib import Path
@@ -36,6 +37,7 @@ from tests.core.data.writers import write_colmap_binary, write_picture
 from tests.core.true_points import true_points
 from tests.opus import read_sound
 from tests.server.brief import brief_training
+from tests.small_disk import files_up_to
 
 SPEC = SyntheticSpec(cameras=5, frames=4, width=32, height=18, seed=2)
 JOB = TrainJob(synthetic=asdict(SPEC), test=("cam00",), preset="live")  # with points by a sweep, which takes seconds
@@ -321,6 +323,21 @@ def test_a_late_fault_keeps_what_was_trained(job: TrainJob, tmp_path: Path) -> N
     heard = sum(map(len, read_sound(tmp_path / "scene.slod.opus")))
     assert heard == round(2 * SAMPLE_RATE / FPS_OF_PICTURES)  # as long as the pictures that were kept
     assert json.loads((tmp_path / "scene.slod.json").read_text())["cut_short"] == str(caught.value)
+
+
+def test_a_full_disk_keeps_what_was_trained(job: TrainJob, tmp_path: Path) -> None:
+    out = tmp_path / "scene.slod"
+    with ExitStack() as disk:
+
+        def fill(frame: EncodedFrame) -> None:
+            if frame.version == 1:
+                (partial,) = tmp_path.iterdir()
+                disk.enter_context(files_up_to(partial.stat().st_size + 20))
+
+        with pytest.raises(TrainingCutShort, match=r"scene\.slod: cannot be written \(.*holds the first 2 of 4 frames"):
+            train_clip(open_job(job), out, fill)
+    with SlodReader(out) as reader:
+        assert [entry.to_version for entry in reader.entries] == [0, 1]
 
 
 def test_a_fault_in_the_first_frame_leaves_nothing(job: TrainJob, tmp_path: Path) -> None:
