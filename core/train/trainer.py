@@ -19,7 +19,7 @@ from streamlod.core.scene.exposures import NEUTRAL
 from streamlod.core.scene.keyframe import as_keyframe
 from streamlod.core.scene.metadata import Metadata
 from streamlod.core.train.config import TrainConfig
-from streamlod.core.train.control.frame_budget import FrameBudget, Pace, fixed_steps
+from streamlod.core.train.control.frame_budget import FrameBudget
 from streamlod.core.train.control.rate_control import RateControl
 from streamlod.core.train.field.convert import motion_cell_of, scene_of
 from streamlod.core.train.field.exposure import exposure_of, fitted, neutral
@@ -28,7 +28,7 @@ from streamlod.core.train.growth.near_space import near_space
 from streamlod.core.train.keyframe.refresh import refresh_config
 from streamlod.core.train.keyframe.seeding import seed_field
 from streamlod.core.train.keyframe.trainer import KeyframeTrainer
-from streamlod.core.train.later_frame.frame import AFTER_TRAINING, Means, train_later_frame
+from streamlod.core.train.later_frame.frame import Means, train_later_frame
 from streamlod.core.train.later_frame.references import as_filmed
 from streamlod.core.train.later_frame.state import KnownPictures, State, fresh_state, no_pictures
 from streamlod.core.train.pictures.uploading import Uploader
@@ -72,7 +72,7 @@ class Trainer:
         self._refit_exposure = False
         self._first_count = 0  # anchors of the first frame since the start
         self._clock = clock
-        self._budget = None if frame_budget_ms is None else FrameBudget(frame_budget_ms, clock)
+        self._budget = FrameBudget(frame_budget_ms, clock)
         self._rate = None if target_kbps is None else RateControl(target_kbps, fps)
         self._uploader = Uploader(self._device)
         self._state: State | None = None
@@ -123,7 +123,7 @@ class Trainer:
         """
         state, watch = self._require(), Stopwatch(self._clock)
         untrained = self._config.keyframe.refresh_steps == 0 or state.scene.anchor_count == 0 or state.is_untouched
-        if untrained or self._budget is not None:
+        if untrained or self._budget.is_limited:
             scene = as_keyframe(state.scene, state.scene.version)
             self.resume(scene, keep_references=True)
             return TrainedFrame(scene, None, FrameReport({}, 0, scene.anchor_count, scene.anchor_count, 0.0))
@@ -177,8 +177,7 @@ class Trainer:
             ModelError: no keyframe came before, or no camera is present.
         """
         state, watch, views = self._require(), Stopwatch(self._clock), self._views(frames)
-        if self._budget is not None:
-            self._budget.start()
+        self._budget.start()
         with watch.stage("compare"):
             state, unknown = self._with_pictures(state, views)
         means = Means(
@@ -187,16 +186,14 @@ class Trainer:
             backend=self._backend,
             exposure=self._exposure,
             first_count=self._first_count,
-            allows=self._allows,
-            pace=self._pace,
+            budget=self._budget,
             watch=watch,
         )
         done = train_later_frame(state, views, frames.index, means)
         # trained on for the first time: its static error is nothing that moves
         self._state = as_filmed(done.state, views, unknown) if unknown else done.state
-        if self._budget is not None:
-            for stage, spent in watch.seconds.items():
-                self._budget.spent(stage, spent)
+        for stage, spent in watch.seconds.items():
+            self._budget.spent(stage, spent)
         update, scene = done.update, done.state.scene
         report = FrameReport(
             watch.seconds,
@@ -216,19 +213,12 @@ class Trainer:
             size_bytes: of the packet.
             seconds: that encoding it took.
         """
-        if self._budget is not None:
-            self._budget.spent("encode", seconds)
+        self._budget.spent("encode", seconds)
         if self._rate is not None:
             if frame.residual is None:
                 self._rate.sent_keyframe(size_bytes)
             else:
                 self._rate.sent(size_bytes, frame.residual.changed)
-
-    def _pace(self, steps: int) -> Pace:
-        return fixed_steps(steps) if self._budget is None else self._budget.pace(steps, *AFTER_TRAINING)
-
-    def _allows(self, stage: str) -> bool:
-        return self._budget is None or self._budget.allows(stage, *AFTER_TRAINING)
 
     def _views(self, frames: FrameSet) -> Views:
         usable = np.flatnonzero(frames.present).tolist()

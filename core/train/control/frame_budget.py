@@ -6,6 +6,7 @@ from earlier frames: a higher cost is taken over at once, a lower one gradually.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 
@@ -29,14 +30,19 @@ class FrameBudget:
     """Wall time for one frame, from its pictures to its packet.
 
     Args:
-        milliseconds: for each frame, more than 0.
+        milliseconds: for each frame, more than 0; None for as many as it takes.
         clock: seconds, from any origin.
     """
 
-    def __init__(self, milliseconds: float, clock: Callable[[], float] = time.perf_counter) -> None:
-        self._seconds, self._clock = milliseconds / 1000, clock
+    def __init__(self, milliseconds: float | None, clock: Callable[[], float] = time.perf_counter) -> None:
+        self._seconds, self._clock = math.inf if milliseconds is None else milliseconds / 1000, clock
         self._costs: dict[str, float] = {}
         self._end = clock() + self._seconds
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether there is a deadline."""
+        return self._seconds < math.inf
 
     def start(self) -> None:
         """The frame's pictures are here."""
@@ -49,6 +55,8 @@ class FrameBudget:
 
     def left(self, *later: str) -> float:
         """Seconds until the deadline, less what the stages `later` will take; negative when it is too late."""
+        if not self.is_limited:
+            return math.inf
         reserved = sum(self._costs.get(stage, _UNKNOWN * self._seconds) for stage in later)
         return self._end - self._clock() - reserved - _MARGIN * self._seconds
 

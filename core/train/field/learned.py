@@ -10,7 +10,6 @@ from streamlod.core.train.field.decode import Network
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.optimise.adam import RowAdam
-from streamlod.core.train.optimise.mean import MeanOfSteps
 
 ROW_PARAMETERS = ("feature", "offset", "scaling")
 _GRID = ("level", "voxel", "extra_level", "position")
@@ -33,7 +32,6 @@ class LearnedField:
             light = {"gain": exposure.gain.requires_grad_(), "exposure_offset": exposure.offset.requires_grad_()}
         self._optimiser = RowAdam({**rows, **network, **light})
         self._grid = start
-        self._mean = MeanOfSteps()
 
     @property
     def live(self) -> Field:
@@ -43,9 +41,8 @@ class LearnedField:
     @property
     def settled(self) -> Field:
         """The values now, or their mean since averaging began; not part of any graph."""
-        return _with(
-            self._grid, {name: value.detach() for name, value in self._optimiser.parameters.items()} | self._mean.values
-        )
+        now = {name: value.detach() for name, value in self._optimiser.parameters.items()}
+        return _with(self._grid, now | self._optimiser.mean)
 
     @property
     def broken(self) -> int:
@@ -64,7 +61,7 @@ class LearnedField:
 
     def average(self) -> None:
         """Count the present values into the mean."""
-        self._mean.count(self._optimiser.parameters)
+        self._optimiser.average()
 
     def keep(self, kept: Tensor, added: dict[str, Tensor] | None = None, extra: Tensor | None = None) -> None:
         """Go on with the anchors `kept`, `extra` [N] levels added to them, and those of `added`.

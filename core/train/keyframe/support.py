@@ -17,21 +17,20 @@ from torch.nn import functional
 from streamlod.core.camera import Camera
 from streamlod.core.train.pictures.projection import projected
 
-_LEAST_PRICE = 0.25  # of the price on opacity, for what one camera alone sees: what no picture needs still goes
 _SAME_SIDE = math.cos(math.radians(60))  # of the angle between two cameras as seen from a place
 
 
 @torch.no_grad()
-def support(position: Tensor, cameras: Sequence[Camera]) -> Tensor:
+def support(visible: Tensor, position: Tensor, cameras: Sequence[Camera]) -> Tensor:
     """[N] from 0, a place that cameras see one from each side, to 1, one that all have in view from about one side.
 
     The share of the other cameras with which a camera agrees, in the mean of the cameras that have the place in their
     pictures, whatever hides it.
 
     Args:
+        visible: [C,N], see `in_view`.
         position: [N,3] in the world. cameras: C pinholes; of one camera alone there is no agreement.
     """
-    visible = in_view(position, cameras)
     towards = [
         functional.normalize(torch.from_numpy(camera.centre).to(position) - position, dim=1) for camera in cameras
     ]
@@ -43,19 +42,6 @@ def support(position: Tensor, cameras: Sequence[Camera]) -> Tensor:
     return agreeing / (visible.sum(dim=0).clamp_min(1) * max(len(cameras) - 1, 1))
 
 
-@torch.no_grad()
-def view_support(supported: Tensor, position: Tensor, cameras: Sequence[Camera]) -> list[float]:
-    """[C] mean of `supported` [N] over the places `position` [N,3] that each camera has in its picture; 0 of none."""
-    visible = in_view(position, cameras)
-    means: list[float] = ((visible * supported).sum(dim=1) / visible.sum(dim=1).clamp_min(1)).tolist()
-    return means
-
-
 def in_view(position: Tensor, cameras: Sequence[Camera]) -> Tensor:
     """[C,N] bool: which of `cameras` have the places `position` [N,3] in their pictures, whatever hides them."""
     return torch.stack([projected(position, camera)[3] for camera in cameras])
-
-
-def price_share(supported: Tensor) -> Tensor:
-    """[N] share of the price on opacity that Gaussians of this `support` [N] pay."""
-    return _LEAST_PRICE + (1 - _LEAST_PRICE) * supported

@@ -10,8 +10,10 @@ from torch import Tensor
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.field.rounding import Precision
 from streamlod.core.train.growth.gradient import GrowthStatistics
-from streamlod.core.train.keyframe.support import price_share, support, view_support
+from streamlod.core.train.keyframe.support import in_view, support
 from streamlod.core.train.pictures.views import Views
+
+_LEAST_PRICE = 0.25  # of the price on opacity, for what one camera alone sees: what no picture needs still goes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,9 +51,10 @@ def tables_of(field: Field, views: Views, hiding: Tensor, *, by_support: bool) -
         hiding: [N,K], see `AnchorTables`. by_support: whether it counts how many cameras agree on an anchor.
     """
     cameras = [views.cameras[number] for number in views.usable]
-    supported = support(field.position, cameras) if by_support else torch.ones_like(field.extra_level)
-    agreement = view_support(supported, field.position, cameras)
-    of_anchors = field.level, supported, price_share(supported)
+    visible = in_view(field.position, cameras)
+    supported = support(visible, field.position, cameras) if by_support else torch.ones_like(field.extra_level)
+    agreement = ((visible * supported).sum(dim=1) / visible.sum(dim=1).clamp_min(1)).tolist()
+    of_anchors = field.level, supported, _LEAST_PRICE + (1 - _LEAST_PRICE) * supported
     level, supported, price = (part.repeat_interleave(field.slots).view(len(field), -1) for part in of_anchors)
     up_to = [torch.nonzero(field.level <= highest)[:, 0] for highest in range(field.octree.levels - 1)]
     backgrounds = dict(zip(views.usable, agreement, strict=True))

@@ -20,7 +20,6 @@ from streamlod.core.train.later_frame.apply import UnitChange, applied
 from streamlod.core.train.later_frame.state import State
 from streamlod.core.train.later_frame.update import IntegerUpdate
 from streamlod.core.train.optimise.adam import RowAdam
-from streamlod.core.train.optimise.mean import MeanOfSteps
 from streamlod.core.train.optimise.rate import residual_bits
 
 
@@ -50,7 +49,6 @@ class TrainedAnchors:
         widths = {"latent": LATENTS, "position": 3}
         leaves = {name: torch.zeros(len(rows), width, device=device) for name, width in widths.items()}
         self.optimiser = RowAdam({name: value.requires_grad_() for name, value in leaves.items()}, memory)
-        self._mean = MeanOfSteps()
         self._added: AddedAnchors | None = None
 
     def __len__(self) -> int:
@@ -101,14 +99,10 @@ class TrainedAnchors:
         added = {} if self._added is None else self._added.rates(steps, decay)
         self.optimiser.step({name: rate * decay for name, rate in rates.items()} | added)
 
-    def average(self) -> None:
-        """Count the present numbers into the mean."""
-        self._mean.count(self.optimiser.parameters)
-
     @torch.no_grad()
     def settle(self) -> None:
         """All numbers become their means over the steps that were counted, if any were."""
-        for name, mean in self._mean.values.items():
+        for name, mean in self.optimiser.mean.items():
             self.optimiser.parameters[name].copy_(mean)
 
     def update(self, shown: Bool, steps: int, loss: float) -> IntegerUpdate:

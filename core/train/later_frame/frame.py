@@ -16,7 +16,7 @@ from streamlod.core.arrays import Bool
 from streamlod.core.render.backends import Backend
 from streamlod.core.scene.residual import Residual, apply
 from streamlod.core.train.config import PartSettings, PredictConfig, TrainConfig
-from streamlod.core.train.control.frame_budget import Pace
+from streamlod.core.train.control.frame_budget import FrameBudget, Pace
 from streamlod.core.train.control.rate_control import RatePlan
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.later_frame.active_tiles import BORDER, mostly_active
@@ -33,7 +33,7 @@ from streamlod.core.train.pictures.boxes import tiles_near
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.progress import Stopwatch
 
-AFTER_TRAINING = ("round", "settle", "encode")  # stages that a frame's budget keeps time for
+_AFTER_TRAINING = ("round", "settle", "encode")  # stages that a frame's budget keeps time for
 _MAX_NEW = 1 << 30
 
 
@@ -44,8 +44,7 @@ class Means:
     Attributes:
         config: of the stream. plan: of the rate control, None for any number of bytes.
         backend: of the rasteriser. exposure: of the cameras. first_count: anchors of the first frame since the start.
-        allows: whether there is time for a stage before the stages after training.
-        pace: makes the pace of a number of steps. watch: counts the time of each stage.
+        budget: of time. watch: counts the time of each stage.
     """
 
     config: TrainConfig
@@ -53,9 +52,16 @@ class Means:
     backend: Backend
     exposure: Exposure
     first_count: int
-    allows: Callable[[str], bool]
-    pace: Callable[[int], Pace]
+    budget: FrameBudget
     watch: Stopwatch
+
+    def allows(self, stage: str) -> bool:
+        """Whether there is time for a stage before the stages after training."""
+        return self.budget.allows(stage, *_AFTER_TRAINING)
+
+    def pace(self, steps: int) -> Pace:
+        """The pace of so many steps, before those stages."""
+        return self.budget.pace(steps, *_AFTER_TRAINING)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -104,7 +104,7 @@ class FrameTraining:
             loss, raster = self._step(number, config.final_rate**progress)
             losses.append(loss)
             if progress >= config.average_from:
-                self.anchors.average()
+                self.anchors.optimiser.average()
             if self._half is None:
                 for hooks in self._hooks:
                     hooks.stepped(self, number, raster, progress)

@@ -1,8 +1,10 @@
-"""Adam over named tensors whose rows may come and go.
+"""Adam over named tensors whose rows may come and go, and their mean over steps.
 
 torch's own Adam keeps its state by parameter object, so growing a parameter means surgery on it; here the state is a
 plain value beside the parameter. Equations: Kingma and Ba 2015, algorithm 1, with epsilon 1e-15 as in 3DGS. On the CPU
 a step is one numba pass over each parameter.
+
+A step follows the picture of one camera alone. The mean over many steps (Polyak and Juditsky 1992) suits all cameras.
 """
 
 from __future__ import annotations
@@ -22,6 +24,10 @@ _BETA1, _BETA2, _EPSILON = 0.9, 0.999, 1e-15
 class RowAdam:
     """Adam with a rate a parameter, given at each step.
 
+    Attributes:
+        parameters: by name.
+        mean: of them over the steps that were counted, detached; empty before the first.
+
     Args:
         parameters: by name; leaf tensors that require gradients.
         memory: beta_1, the share of the mean gradient that each step keeps.
@@ -29,9 +35,10 @@ class RowAdam:
 
     def __init__(self, parameters: dict[str, Tensor], memory: float = _BETA1) -> None:
         self.parameters: dict[str, Tensor] = {}
+        self.mean: dict[str, Tensor] = {}
         self._moments: dict[str, list[Tensor]] = {}
         self._joined: dict[str, int] = {}  # steps that had been taken before
-        self._steps, self._memory = 0, memory
+        self._steps, self._counted, self._memory = 0, 0, memory
         self._broken: Tensor | int = 0
         self.join(parameters)
 
@@ -65,6 +72,14 @@ class RowAdam:
             # counted on the device and read at the end: asking here would stall a GPU at every step
             with torch.no_grad():
                 self._broken += update(values, gradients, moments, scaled, corrections, self._memory)
+
+    def average(self) -> None:
+        """Count the parameters as they are now into the mean, which begins anew where some have joined."""
+        now = {name: value.detach() for name, value in self.parameters.items()}
+        if now.keys() != self.mean.keys():
+            self._counted, self.mean = 0, {name: value.clone() for name, value in now.items()}
+        self._counted += 1
+        torch._foreach_lerp_([self.mean[name] for name in now], list(now.values()), 1 / self._counted)
 
     def replace_rows(self, kept: Tensor, added: dict[str, Tensor]) -> None:
         """Keep the rows `kept` of every parameter named in `added` and append its new rows, with fresh moments."""

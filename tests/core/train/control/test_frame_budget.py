@@ -33,6 +33,15 @@ def test_without_a_budget_all_steps_are_taken() -> None:
     pace = fixed_steps(4)
     assert [pace(step) for step in range(5)] == [0, 0.25, 0.5, 0.75, 1]
     assert fixed_steps(0)(0) == 1
+    clock = Clock()
+    budget = FrameBudget(None, clock)
+    assert not budget.is_limited
+    for _ in range(3):  # whatever stages took
+        budget.start()
+        clock.work(1e6)
+        budget.spent("encode", 1e6)
+        assert budget.allows("encode", "round")
+        assert [budget.pace(4, "encode")(step) for step in range(5)] == [0, 0.25, 0.5, 0.75, 1]
 
 
 def test_training_that_fits_is_not_cut_short() -> None:

@@ -43,7 +43,7 @@ def put(anchors: TrainedAnchors, latent: float, position: float) -> None:
 def test_the_mean_of_counted_steps_is_sent(anchors: TrainedAnchors) -> None:
     for latent, position in ((4.0, 10.0), (8.0, 20.0)):
         put(anchors, latent, position)
-        anchors.average()
+        anchors.optimiser.average()
     put(anchors, -50.0, -50.0)
     anchors.settle()
     assert sent(anchors) == (6, 15)
@@ -57,10 +57,10 @@ def test_the_last_step_is_sent_where_none_was_counted(anchors: TrainedAnchors) -
 
 def test_steps_before_anchors_joined_do_not_count(state: State, anchors: TrainedAnchors) -> None:
     put(anchors, 100.0, 100.0)
-    anchors.average()
+    anchors.optimiser.average()
     new = {name: getattr(state.field, name)[1:3] for name in NUMBERS}
     anchors.add(new)
     put(anchors, 5.0, 9.0)
-    anchors.average()
+    anchors.optimiser.average()
     anchors.settle()
     assert sent(anchors) == (5, 9)
