@@ -148,7 +148,7 @@ def record(
     missing: Callable[[Mapping[str, str]], None] = lambda _: None,
     look: Callable[[Instant], object] = lambda _: None,
 ) -> dict[str, Recorded]:
-    """Record for so long, or until the sources end or the user interrupts; the rig stops then.
+    """Record for so long, until the sources end, a file cannot be written or the user interrupts; the rig stops then.
 
     The files `NAME.mp4` have one clock: a picture's time is when it was taken, from one beginning for all.
 
@@ -161,7 +161,7 @@ def record(
     """
     begin_ns = rig.now_ns
     writers = {
-        camera.name: _Writer(folder / f"{camera.name}.mp4", camera, definition.fps, begin_ns, seconds)
+        camera.name: _Writer(folder / f"{camera.name}.mp4", camera, definition.fps, begin_ns, seconds, rig.stop)
         for camera in definition.cameras
     }
     for writer in writers.values():
@@ -179,8 +179,9 @@ def record(
     finally:
         timer.cancel()
         rig.writers = {}
-        for writer in writers.values():
-            writer.end()
+        failures = [failure for writer in writers.values() if (failure := writer.end()) is not None]
+    if failures:
+        raise failures[0]
     return {name: Recorded(writer.count, writer.left_out) for name, writer in writers.items()}
 
 
@@ -197,14 +198,18 @@ class _Writer(threading.Thread):
     Args:
         begin_ns: capture time at which the file begins.
         seconds: that it lasts at most.
+        failed: called once it cannot be written any more.
     """
 
-    def __init__(self, file: Path, camera: Camera, fps: float, begin_ns: int, seconds: float) -> None:
+    def __init__(
+        self, file: Path, camera: Camera, fps: float, begin_ns: int, seconds: float, failed: Callable[[], None]
+    ) -> None:
         super().__init__(daemon=True, name=f"record {camera.name}")
         self._file, self._size, self._fps = file, (camera.width, camera.height), fps
         self._begin_ns, self._ticks = begin_ns, round(seconds * _TICKS)
         self._waiting: queue.Queue[Picture | None] = queue.Queue(_BUFFERED)
         self._failure: InputError | None = None
+        self._failed = failed
         self.count = self.left_out = 0
 
     def take(self, picture: Picture) -> None:
@@ -214,22 +219,18 @@ class _Writer(threading.Thread):
         except queue.Full:
             self.left_out += 1
 
-    def end(self) -> None:
-        """Wait until all is written.
-
-        Raises:
-            InputError: something could not be.
-        """
+    def end(self) -> InputError | None:
+        """Wait until all is written; the fault where something could not be."""
         self._waiting.put(None)
         self.join()
-        if self._failure is not None:
-            raise self._failure
+        return self._failure
 
     def run(self) -> None:
         try:
             self._write_all()
         except (av.FFmpegError, OSError) as error:
             self._failure = InputError(self._file, f"cannot be written ({error.strerror or error})")
+            self._failed()
             while self._waiting.get() is not None:  # nobody shall wait for room
                 pass
 

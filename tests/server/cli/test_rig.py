@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -34,6 +35,7 @@ from streamlod.server.service.station import station
 from streamlod.server.settings import Settings, load_settings
 from tests.core.data.writers import write_video
 from tests.server.ingest.rig import HEIGHT, WIDTH, burnt, number_of, write_definition
+from tests.small_disk import files_up_to
 from tests.waiting import wait
 
 FPS = 20
@@ -284,6 +286,21 @@ def test_what_was_recorded_is_there_where_the_recorder_was_killed(tmp_path: Path
     numbers = [number_of(picture) for picture in footage.pictures() if picture is not None]
     assert FPS < len(numbers) < 250, "of 300"
     assert np.ptp(footage.times - np.array(numbers) / FPS) < 1e-4
+
+
+def test_a_walk_that_cannot_be_written_any_more_ends_at_once(tmp_path: Path) -> None:
+    """Nobody walks for a minute in vain; the fault names the file."""
+    write_video(tmp_path / "still.mp4", [burnt(0)] * (40 * FPS), fps=FPS)
+    rig, begin = write_definition(tmp_path, ["still.mp4"]), time.monotonic()
+    with ExitStack() as disk:
+
+        def fill(said: str) -> None:
+            if said.startswith("recording"):
+                disk.enter_context(files_up_to(500))
+
+        with pytest.raises(InputError, match=r"walk/cam0\.mp4: cannot be written"):
+            watch(rig, tmp_path / "walk", 40.0, Settings(), fill, overwrite=False)
+    assert time.monotonic() - begin < 30
 
 
 @pytest.mark.long
