@@ -27,7 +27,7 @@ from streamlod.server.ingest.cameras.sound_reader import SoundReader
 from streamlod.server.ingest.cameras.source_thread import ENDED, SourceThread
 from streamlod.server.ingest.sound.hearing import Hearing
 from streamlod.server.ingest.statistics import CameraStatistics, Statistics
-from streamlod.server.ingest.sync.clock import ClockSource
+from streamlod.server.ingest.sync.clock import PLAUSIBLE_NS, ClockSource
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import Instant, Synchroniser
 from streamlod.server.ingest.sync.timeline import Timeline
@@ -37,6 +37,8 @@ _LEAD = 4  # periods that the reader of an unpaced file may be ahead of the othe
 _JOIN_SECONDS = 0.5
 _FOREVER_NS = 2**62
 _FILE_DELAY_NS = 300_000_000  # time to open files on all threads
+_SENDERS_CLOCKS = (ClockSource.NTP, ClockSource.STATED, ClockSource.TIMECODE)
+_CLOCK_LOST = f"its clock is {PLAUSIBLE_NS // 10**9} s off or more, or silent; its pictures are timed by their arrival"
 
 
 @dataclass(slots=True)
@@ -158,6 +160,8 @@ class Rig:
             picture = replace(picture, capture_ns=picture.capture_ns + offset_ns)
         with self._change:
             last = self._last[picture.camera]
+            if picture.source is ClockSource.ARRIVAL and last.source in _SENDERS_CLOCKS:
+                _LOG.warning("camera %s: %s", picture.camera, _CLOCK_LOST)
             last.source, last.error_ns = picture.source, picture.error_ns
             last.put += 1
             last.newest_ns = picture.capture_ns

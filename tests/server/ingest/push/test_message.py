@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import json
 import os
 import socket
@@ -168,6 +169,24 @@ def test_pictures_of_two_nodes_are_paired_by_the_time_they_state(live: Frames) -
     assert statistics is not None
     assert statistics.degraded
     assert statistics.cameras["cam0"].counts.received in (12, 13)
+
+
+def test_a_clock_that_jumps_an_hour_back_is_told_once(live: Frames, caplog: pytest.LogCaptureFixture) -> None:
+    """As at the end of summer time, where a camera is set to local time."""
+    rig = live.dataset.rig
+    assert rig is not None
+    node, hour, numbers = Intake(rig), 3600 * 10**9, itertools.count(1)
+    node.accept(message(0, "cam0", rig.now_ns))
+
+    def is_timed_by_arrival() -> bool:
+        number = next(numbers)
+        node.accept(message(number, "cam0", rig.now_ns - hour))
+        return rig.statistics().cameras["cam0"].clock_source is ClockSource.ARRIVAL
+
+    live.wait(is_timed_by_arrival)  # a second later, as its delay must be known
+    assert is_timed_by_arrival()
+    (told,) = (record.getMessage() for record in caplog.records if "clock" in record.getMessage())
+    assert told == "camera cam0: its clock is 5 s off or more, or silent; its pictures are timed by their arrival"
 
 
 def test_the_later_of_two_nodes_with_one_camera_counts(live: Frames) -> None:
