@@ -20,7 +20,7 @@ from streamlod.core.scene.keyframe import as_keyframe
 from streamlod.core.scene.metadata import Metadata
 from streamlod.core.train.config import TrainConfig
 from streamlod.core.train.control.frame_budget import FrameBudget
-from streamlod.core.train.control.rate_control import RateControl
+from streamlod.core.train.control.rate_control import UNLIMITED, RateControl
 from streamlod.core.train.field.convert import motion_cell_of, scene_of
 from streamlod.core.train.field.exposure import exposure_of, fitted, neutral
 from streamlod.core.train.field.rendered import rendered
@@ -182,7 +182,7 @@ class Trainer:
             state, unknown = self._with_pictures(state, views)
         means = Means(
             config=self._config,
-            plan=None if self._rate is None else self._rate.plan(),
+            plan=UNLIMITED if self._rate is None else self._rate.plan(),
             backend=self._backend,
             exposure=self._exposure,
             first_count=self._first_count,

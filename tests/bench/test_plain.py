@@ -66,5 +66,5 @@ def test_the_result_is_the_mean_of_the_last_steps(instants: list[FrameSet], poin
     config = PlainConfig(average_from=0.0, half_size_until=0.0)
     model = PlainGaussians(points, plain_views(instants[0], cameras(SPEC)), config, clock=clock(0.01))
     model.train(0.2)
-    assert model._mean.values["means"].shape == model._optimiser.parameters["means"].shape
-    assert not np.allclose(model._mean.values["means"], model._optimiser.parameters["means"].detach())
+    assert model._optimiser.mean["means"].shape == model._optimiser.parameters["means"].shape
+    assert not np.allclose(model._optimiser.mean["means"], model._optimiser.parameters["means"].detach())

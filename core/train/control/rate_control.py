@@ -49,12 +49,16 @@ class RatePlan:
 
     def applied(self, config: PredictConfig) -> PredictConfig:
         """`config` under this plan: where packets are too large, bits weigh more and only surer anchors are trained."""
-        surer = 1 / max(self.weight_factor, 1.0)
+        surer = 1 - 1 / max(self.weight_factor, 1.0)
         return replace(
             config,
             rate_weight=config.rate_weight * self.weight_factor,
-            posterior=1 - (1 - config.posterior) * surer,
+            posterior=config.posterior + (1 - config.posterior) * surer,
         )
+
+
+UNLIMITED = RatePlan(1.0, 1 << 40)
+"""As many bytes as a frame takes."""
 
 
 class RateControl:

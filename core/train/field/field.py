@@ -49,6 +49,11 @@ class Field:
         return self.offset.shape[1]
 
     @property
+    def gaussian_means(self) -> Tensor:
+        """[N,K,3] where the Gaussians are in the world."""
+        return self.position[:, None] + self.offset * self.scaling.exp()[:, None, :3]
+
+    @property
     def looks_the_same(self) -> bool:
         """Whether every camera gets the same Gaussians."""
         return not (self.view_dependent or self.by_distance)

@@ -85,9 +85,7 @@ def grow(
         most: anchors that may be added; where more would grow, those whose parents pull hardest do.
         occupied: all anchors there are, where `field` holds some of them only.
     """
-    with torch.no_grad():
-        means = field.position[:, None] + field.offset * field.scaling.exp()[:, None, :3]
-    centres = means.reshape(-1, 3).cpu().numpy().astype(np.float64)
+    centres = field.gaussian_means.detach().reshape(-1, 3).cpu().numpy().astype(np.float64)
     slot_level = np.repeat(field.level.cpu().numpy(), field.slots)
     pull = gradient.cpu().numpy()
     found: list[NewAnchors] = []

@@ -48,8 +48,7 @@ class NearSpace:
     @torch.no_grad()
     def astray(self, field: Field, clearance: float) -> Tensor:
         """[N] anchors all of whose Gaussians are unseen, or nearer to a camera than `clearance` of its nearest."""
-        means = field.position[:, None] + field.offset * field.scaling.exp()[:, None, :3]
-        points = means.flatten(0, 1).double().cpu().numpy()
+        points = field.gaussian_means.flatten(0, 1).double().cpu().numpy()
         seen, near = np.zeros((2, len(points)), np.bool_)
         for camera, nearest in zip(self.cameras, self.nearest, strict=True):
             pixels, depth = project(camera, points)

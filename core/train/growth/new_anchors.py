@@ -21,7 +21,7 @@ def first_values(parents: Field, new: NewAnchors, generator: torch.Generator) ->
         "level": level,
         "voxel": voxel,
         "extra_level": torch.zeros(len(new), device=device),
-        "position": (torch.from_numpy(parents.octree.origin).to(device) + voxel * cell[:, None]).float(),
+        "position": torch.from_numpy(parents.octree.node_of(new.voxel, new.level)).float().to(device),
         "feature": parents.feature[torch.from_numpy(new.parent).to(device)],
         "offset": _SPREAD * offset.to(device),
         "scaling": cell.log().float()[:, None].repeat(1, 6),

@@ -39,9 +39,8 @@ class AddedAnchors:
         steps = {name: width * _usual_coarseness(scene) for name, width in steps.items()}
         self._rates = {name: rate / float(steps[name].mean()) for name, rate in RATES.items()}
         steps["position"] = torch.from_numpy(header.position_steps).to(device)[start["level"]][:, None]
-        cell = known.octree.root_cell / 2.0 ** start["level"].double()
-        origin = torch.from_numpy(known.octree.origin).to(device)
-        self._node = (origin + start["voxel"] * cell[:, None]).float()
+        voxel, level = (start[name].cpu().numpy() for name in ("voxel", "level"))
+        self._node = torch.from_numpy(known.octree.node_of(voxel, level)).float().to(device)
         begin = start | {"position": start["position"] - self._node}
         leaves = {f"new_{name}": (begin[name] / width).requires_grad_() for name, width in steps.items()}
         optimiser.join(leaves)

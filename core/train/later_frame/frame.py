@@ -34,7 +34,6 @@ from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.progress import Stopwatch
 
 _AFTER_TRAINING = ("round", "settle", "encode")  # stages that a frame's budget keeps time for
-_MAX_NEW = 1 << 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,13 +41,13 @@ class Means:
     """What a frame may spend, and by what it is trained.
 
     Attributes:
-        config: of the stream. plan: of the rate control, None for any number of bytes.
+        config: of the stream. plan: of the rate control.
         backend: of the rasteriser. exposure: of the cameras. first_count: anchors of the first frame since the start.
         budget: of time. watch: counts the time of each stage.
     """
 
     config: TrainConfig
-    plan: RatePlan | None
+    plan: RatePlan
     backend: Backend
     exposure: Exposure
     first_count: int
@@ -77,7 +76,7 @@ class LaterFrame:
 def train_later_frame(state: State, views: Views, index: int, means: Means) -> LaterFrame:
     """Train frame `index` from `state`, whose references and pictures of every usable camera are known."""
     watch, plan = means.watch, means.plan
-    config = means.config.predict if plan is None else plan.applied(means.config.predict)
+    config = plan.applied(means.config.predict)
     with watch.stage("compare"):
         masks = change_masks(state.known.references, state.known.filmed, views, config.noise_floor)
         pictures = Comparison(views, masks, state.known)
@@ -88,8 +87,7 @@ def train_later_frame(state: State, views: Views, index: int, means: Means) -> L
     rows = torch.from_numpy(np.flatnonzero(dynamic)).to(state.field.feature.device)
     update, training = no_update(0), None
     if len(rows):
-        most_new = _MAX_NEW if plan is None else plan.most_new
-        seen = Beginning(state, rows, pictures, coarse, means.config, means.first_count, most_new)
+        seen = Beginning(state, rows, pictures, coarse, means.config, means.first_count, plan.most_new)
         hooks = started(means.config.parts, seen, means.allows, watch)
         with watch.stage("train"):
             useful = _useful(coarse, config)
@@ -97,10 +95,9 @@ def train_later_frame(state: State, views: Views, index: int, means: Means) -> L
             generator = torch.Generator().manual_seed(means.config.seed + index)
             update = training.run(generator, means.pace)
     with watch.stage("round"):
-        if plan is not None:
-            update = strongest_changes(update, plan.most_changes_beside(update.new))
+        update = strongest_changes(update, plan.most_changes_beside(update.new))
         # what had no time or no bytes counts as changed in the next frame
-        done = update.complete and (plan is None or not plan.strained)
+        done = update.complete and not plan.strained
         residual = residual_of(state.scene, rows.cpu().numpy(), update, index)
         after = state.after(residual, apply(state.scene, residual), dynamic)
     with watch.stage("settle"):

@@ -82,7 +82,11 @@ class RowAdam:
         torch._foreach_lerp_([self.mean[name] for name in now], list(now.values()), 1 / self._counted)
 
     def replace_rows(self, kept: Tensor, added: dict[str, Tensor]) -> None:
-        """Keep the rows `kept` of every parameter named in `added` and append its new rows, with fresh moments."""
+        """Keep the rows `kept` of every parameter named in `added` and append its new rows, with fresh moments.
+
+        The mean begins anew.
+        """
+        self.mean = {}
         for name, rows in added.items():
             value = torch.cat([self.parameters[name].detach()[kept], rows]).requires_grad_()
             self._moments[name] = [torch.cat([m[kept], torch.zeros_like(rows)]) for m in self._moments[name]]

@@ -29,7 +29,6 @@ from streamlod.core.train.field.exposure import neutral
 from streamlod.core.train.keyframe.random_background import over_colour
 from streamlod.core.train.loss.photometric import photometric_loss
 from streamlod.core.train.optimise.adam import RowAdam
-from streamlod.core.train.optimise.mean import MeanOfSteps
 from streamlod.core.train.optimise.schedule import view_order
 from streamlod.core.train.pictures.views import Views
 
@@ -138,7 +137,6 @@ class PlainGaussians:
             start |= {"gain": self._exposure.gain, "offset": self._exposure.offset}
         self._optimiser = RowAdam({name: value.requires_grad_() for name, value in start.items()})
         self._pull, self._seen = torch.zeros(count), torch.zeros(count)
-        self._mean = MeanOfSteps()
 
     def __len__(self) -> int:
         return len(self._pull)
@@ -152,16 +150,16 @@ class PlainGaussians:
             self._step(progress)
             steps += 1
             if progress >= config.average_from:
-                self._mean.count({name: self._optimiser.parameters[name] for name in self._rows})
+                self._optimiser.average()
             if steps % config.densify_interval == 0 and config.densify_from < progress < config.densify_until:
                 self._densify()
         return steps
 
     def follow(self, views: Views, seconds: float) -> None:
         """Train on the pictures of the next instant for so many seconds; no Gaussian comes or goes."""
-        for name, value in self._mean.values.items():
-            self._optimiser.parameters[name].data.copy_(value)
-        self._mean = MeanOfSteps()
+        mean, self._optimiser.mean = self._optimiser.mean, {}
+        for name in self._rows if mean else ():
+            self._optimiser.parameters[name].data.copy_(mean[name])
         self._whole = self._views = views
         begin = self._clock()
         while (progress := (self._clock() - begin) / max(seconds, 1e-9)) < 1:
@@ -170,7 +168,7 @@ class PlainGaussians:
     @torch.no_grad()
     def picture(self, camera: Camera) -> UInt8:
         """[H,W,3] what `camera` sees of the result, by the rule of `core.scene.expand.without_near`."""
-        parameters = self._mean.values or self._optimiser.parameters
+        parameters = self._optimiser.mean or self._optimiser.parameters
         away = parameters["means"] - torch.from_numpy(camera.centre).float()
         kept = away.norm(dim=1) >= near_radius(self._whole.cameras, camera.centre)
         image = self._render({name: parameters[name][kept] for name in self._rows}, camera, torch.zeros(3)).image
@@ -179,7 +177,7 @@ class PlainGaussians:
     @torch.no_grad()
     def cloud(self) -> GaussianCloud:
         """The result as a file of Gaussians has it."""
-        found = {name: (self._mean.values or self._optimiser.parameters)[name].numpy() for name in self._rows}
+        found = {name: (self._optimiser.mean or self._optimiser.parameters)[name].numpy() for name in self._rows}
         return GaussianCloud(
             means=found["means"],
             quaternions=found["quaternions"],
@@ -243,7 +241,6 @@ class PlainGaussians:
         self._optimiser.replace_rows(kept, new)
         count = len(self._optimiser.parameters["means"])
         self._pull, self._seen = torch.zeros(count), torch.zeros(count)
-        self._mean = MeanOfSteps()
 
 
 def plain_views(frame: FrameSet, cameras: tuple[Camera, ...]) -> Views:

@@ -85,26 +85,22 @@ def better_starts(guess: Tensor, training: FrameTraining) -> Tensor:
     for number in training.numbers:
         places = [_tinted(training.splats_at(number, start)) for start in (rest, guess)]
         pictures, target = training.draw_two(number, *places), training.target(number)
-        shots = [_Shot(image, splats.colours) for image, splats in zip(pictures, places, strict=True)]
-        error, guessed = ((shot.image.detach() - target).abs().sum(dim=2) for shot in shots)
-        for shot in shots:
-            worth += shot.sums(error - guessed, len(guess))
+        error, guessed = ((picture.detach() - target).abs().sum(dim=2) for picture in pictures)
+        for picture, splats in zip(pictures, places, strict=True):
+            worth += _shown(picture, splats.colours, error - guessed, len(guess))
     return torch.where((differs & (worth > _WORTH))[:, None], guess, rest)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Shot:
-    """A picture [H,W,3] of Gaussians with `colours` [G,3], by which it can be differentiated once."""
+def _shown(picture: Tensor, colours: Tensor, weights: Tensor, anchors: int) -> Tensor:
+    """[n] sum over the pixels of `weights` [H,W] times the blending weight that each anchor has in `picture` [H,W,3].
 
-    image: Tensor
-    colours: Tensor
-
-    def sums(self, weights: Tensor, anchors: int) -> Tensor:
-        """[n] sum over the pixels of `weights` [H,W] times the blending weights of each anchor (as `coverage`)."""
-        upstream = torch.zeros_like(self.image)
-        upstream[..., 0] = weights
-        (gradient,) = torch.autograd.grad(self.image, self.colours, upstream)
-        return gradient[:, 0].reshape(anchors, -1).sum(dim=1)
+    Args:
+        colours: [G,3] of the anchors' Gaussians, by which the picture can be differentiated once.
+    """
+    upstream = torch.zeros_like(picture)
+    upstream[..., 0] = weights
+    (gradient,) = torch.autograd.grad(picture, colours, upstream)
+    return gradient[:, 0].reshape(anchors, -1).sum(dim=1)
 
 
 def _tinted(splats: Splats) -> Splats:

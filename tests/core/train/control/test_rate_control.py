@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from streamlod.core.train.config import PredictConfig
-from streamlod.core.train.control.rate_control import RateControl
+from streamlod.core.train.control.rate_control import UNLIMITED, RateControl
 
 FPS = 30.0
 
@@ -76,3 +76,11 @@ def test_a_plan_under_strain_trains_less_and_surer() -> None:
     assert strained.rate_weight > config.rate_weight
     assert config.posterior < strained.posterior < 1
     assert control.plan().most_anchors == 0
+
+
+@pytest.mark.parametrize("posterior", [0.05, 0.1, 0.7, 0.8])
+def test_without_a_rate_settings_stay_to_the_bit(posterior: float) -> None:
+    config = PredictConfig(posterior=posterior)
+    assert UNLIMITED.applied(config) == config
+    assert not UNLIMITED.strained
+    assert UNLIMITED.most_changes_beside(UNLIMITED.most_new) > 1 << 38

@@ -28,3 +28,12 @@ def test_mean_begins_anew_where_parameters_join() -> None:
     optimiser.join({"colour": torch.tensor([5.0], requires_grad=True)})
     optimiser.average()
     assert {name: value.item() for name, value in optimiser.mean.items()} == {"place": 3.0, "colour": 5.0}
+
+
+def test_mean_begins_anew_where_rows_come_or_go() -> None:
+    optimiser = RowAdam({"place": torch.tensor([[1.0], [2.0]], requires_grad=True)})
+    optimiser.average()
+    optimiser.replace_rows(torch.tensor([1]), {"place": torch.tensor([[7.0], [8.0]])})
+    assert optimiser.mean == {}
+    optimiser.average()
+    assert optimiser.mean["place"].tolist() == [[2.0], [7.0], [8.0]]
