@@ -189,7 +189,7 @@ class WorkerStream(Stream):
             self._frames_done, self._new_epoch = 0, True
         self._placed.clear()
         self._unwatched_since = time.monotonic()
-        self._refused = None
+        self._refused = self.progress = None
         self._supervisor = self._make_supervisor()
         self._enter("starting")
         self._task = asyncio.create_task(self._supervisor.run())
