@@ -67,8 +67,12 @@ def read_colmap(path: Path) -> RawRecording:
             cameras.append(
                 (fitted(camera, picture_size(files[name]), files[name]), files[name].relative_to(instants[0]))
             )
-    files_of = tuple(tuple(folder / relative for _, relative in cameras) for folder in instants)
-    source = Pictures(files_of, _numbers(folders))
+    named = (
+        (folder, tuple(pictures / name for _, name in cameras))
+        for folder, pictures in zip(folders, instants, strict=True)
+    )
+    shown = [(folder, paths) for folder, paths in named if any(map(Path.is_file, paths))]
+    source = Pictures(tuple(paths for _, paths in shown), _numbers([folder for folder, _ in shown]))
     return RawRecording(
         path,
         "colmap",
@@ -112,7 +116,7 @@ def _numbers(instants: list[Path]) -> tuple[int, ...]:
     if missing := numbers[-1] + 1 - len(numbers):
         gaps = (folder for folder, (a, b) in zip(instants, pairwise(numbers), strict=False) if b > a + 1)
         after = listed((folder.name for folder in gaps), 5)
-        fault = "%s: %d instants have no folder, after %s; the one before each is shown until the next"
+        fault = "%s: %d instants have no pictures, after %s; the one before is shown until the next"
         _log.warning(fault, instants[0].parent, missing, after)
     return numbers
 

@@ -143,14 +143,15 @@ def test_a_folder_frames_beside_the_model(tmp_path: Path) -> None:
     assert [read_back(frame.images[2]) for frame in dataset.frames()] == [(2, 0), (2, 1), (2, 2)]
 
 
-def test_a_number_without_a_folder_leaves_a_gap_in_time(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_number_without_pictures_leaves_a_gap_in_time(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     write_colmap_text(tmp_path / "sparse" / "0", [(f"{c.name}.png", c, "PINHOLE") for c in rig(NAMES)], POINTS)
     for t in (7, 8, 11):
         for index, name in enumerate(NAMES):
             write_picture(tmp_path / "frames" / f"{t:04d}" / f"{name}.png", picture(index, t))
+    (tmp_path / "frames" / "0009").mkdir()  # nothing was copied into it
     seen = [(frame.index, frame.time_ns, read_back(frame.images[2])) for frame in open_dataset(tmp_path).frames()]
     assert seen == [(0, 0, (2, 7)), (1, 33333333, (2, 8)), (2, 133333333, (2, 11))]
-    assert "2 instants have no folder, after 0008" in caplog.text
+    assert "2 instants have no pictures, after 0008" in caplog.text
 
 
 @pytest.mark.parametrize("stem", ["cameras", "images"])
