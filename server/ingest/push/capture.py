@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +14,7 @@ import av.video.stream
 import cv2
 
 from streamlod.core.camera.grid import period_of
-from streamlod.core.data.names import files_in
+from streamlod.core.data.names import files_in, instant_numbers
 from streamlod.core.data.video.decoding import played_pictures
 from streamlod.core.data.video.times import pictures_of
 from streamlod.core.data.video.upright import upright
@@ -71,7 +71,8 @@ class CaptureCamera:
 
     def _from_folder(self, start_ns: int) -> Iterator[Taken]:
         assert isinstance(self.source, Path)
-        for number, path in enumerate(pictures_in(self.source)):
+        paths = pictures_in(self.source)
+        for number, path in zip(picture_numbers(paths), paths, strict=True):
             capture = start_ns + round(number * period_of(self.fps))
             _sleep_until(capture)
             yield Taken(capture, _PICTURES[path.suffix.lower()], path.read_bytes())
@@ -111,6 +112,11 @@ def video_of(container: av.container.InputContainer, address: Address) -> av.vid
 def pictures_in(folder: Path) -> list[Path]:
     """The pictures in a folder, in the order of their numbers."""
     return files_in(folder, tuple(_PICTURES))
+
+
+def picture_numbers(paths: Sequence[Path]) -> tuple[int, ...]:
+    """How many periods after the first each picture of a folder was taken, by its number: one may be missing."""
+    return instant_numbers([path.stem for path in paths])
 
 
 def _jpeg(frame: av.VideoFrame) -> bytes:

@@ -14,7 +14,7 @@ from streamlod.core.data.video.decoding import played_from
 from streamlod.core.data.video.times import PictureTimes
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.address import Address, parse_address
-from streamlod.server.ingest.push.capture import SECOND_NS, CaptureCamera, pictures_in, video_of
+from streamlod.server.ingest.push.capture import SECOND_NS, CaptureCamera, picture_numbers, pictures_in, video_of
 
 
 def find_cameras(
@@ -52,7 +52,7 @@ def find_cameras(
 def _length_ns(source: Path | Address, fps: float) -> int:
     """Nanoseconds from the beginning of a file or folder to where a further picture would be; 0 if live."""
     if isinstance(source, Path):
-        return round(len(pictures_in(source)) * period_of(fps))
+        return round((picture_numbers(pictures_in(source))[-1] + 1) * period_of(fps))
     if source.is_live:
         return 0
     try:

@@ -33,6 +33,15 @@ def test_pictures_come_in_the_order_of_their_numbers_and_hidden_ones_stay(tmp_pa
     assert _numbers(tmp_path) == [(t, t + 1) for t in range(12)]
 
 
+def test_a_picture_that_is_missing_leaves_a_gap(tmp_path: Path) -> None:
+    """Else all later ones of its camera were paired with what the others saw a picture before."""
+    for number in (5, 6, 9):
+        write_picture(tmp_path / "cam00" / f"{number:04d}.png", picture(0, number))
+    assert _numbers(tmp_path) == [(0, 5), (1, 6), (4, 9)]
+    (camera,) = find_cameras([str(tmp_path)], 200, repeats=True)
+    assert camera.repeats_ns == 5 * 5_000_000
+
+
 def test_cameras_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
     for number in (1, 2, 10):
         write_picture(tmp_path / f"cam_{number}" / "0.png", picture(0, 0))
