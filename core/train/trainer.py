@@ -99,7 +99,8 @@ class Trainer:
             generator = torch.Generator().manual_seed(self._config.seed)
             field = seed_field(points, self._cameras, self._config.model, generator).to(self._device)
             space = near_space(points, self._cameras) if self._config.keyframe.clearance > 0 else None
-            trainer = KeyframeTrainer(field, views, self._config, self._backend, space=space)
+            exposure, cell = neutral(len(self._cameras), self._device), field.octree.motion_cell
+            trainer = KeyframeTrainer(field, views, self._config, self._backend, exposure, cell, space)
 
         def preview() -> Scene:
             return self._scene_of(trainer, frames.index)
@@ -133,7 +134,7 @@ class Trainer:
             field = replace(state.field.with_rows(torch.nonzero(state.alive)[:, 0]), by_distance=False)
             config = refresh_config(self._config, field, state.scene.version)
             cell = motion_cell_of(state.scene, self._config.predict)
-            trainer = KeyframeTrainer(field, views, config, self._backend, self._exposure, motion_cell=cell)
+            trainer = KeyframeTrainer(field, views, config, self._backend, self._exposure, cell)
             losses = _run(trainer, "keyframe", on_progress)
             self._exposure = trainer.exposure
             scene = self._scene_of(trainer, state.scene.version)

@@ -19,6 +19,9 @@ NETWORK_PARAMETERS = ("hidden_weight", "hidden_bias", "output_weight", "output_b
 class LearnedField:
     """A field under optimisation: features, offsets, scalings and the network learn, the grid stays.
 
+    Attributes:
+        optimiser: of all that learns, with the mean of its steps.
+
     Args:
         start: first anchors.
         exposure: gains and offsets that learn along, None for none.
@@ -30,24 +33,19 @@ class LearnedField:
         light = {}
         if exposure is not None:
             light = {"gain": exposure.gain.requires_grad_(), "exposure_offset": exposure.offset.requires_grad_()}
-        self._optimiser = RowAdam({**rows, **network, **light})
+        self.optimiser = RowAdam({**rows, **network, **light})
         self._grid = start
 
     @property
     def live(self) -> Field:
         """The leaves themselves."""
-        return _with(self._grid, self._optimiser.parameters)
+        return _with(self._grid, self.optimiser.parameters)
 
     @property
     def settled(self) -> Field:
         """The values now, or their mean since averaging began; not part of any graph."""
-        now = {name: value.detach() for name, value in self._optimiser.parameters.items()}
-        return _with(self._grid, now | self._optimiser.mean)
-
-    @property
-    def broken(self) -> int:
-        """Gradient entries that were not finite and were taken as zero."""
-        return self._optimiser.broken
+        now = {name: value.detach() for name, value in self.optimiser.parameters.items()}
+        return _with(self._grid, now | self.optimiser.mean)
 
     def step(self, rates: dict[str, float]) -> None:
         """Apply the gradients.
@@ -57,11 +55,7 @@ class LearnedField:
         """
         shared = dict.fromkeys(NETWORK_PARAMETERS, rates["network"])
         light = dict.fromkeys(("gain", "exposure_offset"), rates["exposure"])
-        self._optimiser.step(rates | shared | light)
-
-    def average(self) -> None:
-        """Count the present values into the mean."""
-        self._optimiser.average()
+        self.optimiser.step(rates | shared | light)
 
     def keep(self, kept: Tensor, added: dict[str, Tensor] | None = None, extra: Tensor | None = None) -> None:
         """Go on with the anchors `kept`, `extra` [N] levels added to them, and those of `added`.
@@ -73,13 +67,12 @@ class LearnedField:
         if extra is not None:
             grid = replace(grid, extra_level=grid.extra_level + extra)
         added = added or {name: getattr(grid, name)[:0] for name in (*ROW_PARAMETERS, *_GRID)}
-        self._optimiser.replace_rows(kept, {name: added[name] for name in ROW_PARAMETERS})
+        self.optimiser.replace_rows(kept, {name: added[name] for name in ROW_PARAMETERS})
         self._grid = grid.with_rows(kept).with_appended(added)
 
     def regroup(self, grid: Field) -> None:
         """Go on with the same anchors on the octree, levels, nodes and places of `grid`."""
-        octree, level, voxel, position = grid.octree, grid.level, grid.voxel, grid.position
-        self._grid = replace(self._grid, octree=octree, level=level, voxel=voxel, position=position)
+        self._grid = grid
 
 
 def _with(grid: Field, parameters: dict[str, Tensor]) -> Field:

@@ -12,7 +12,7 @@ from streamlod.core.render.raster import Raster
 from streamlod.core.scene.octree import narrowest_cell
 from streamlod.core.train.config import KeyframeConfig, TrainConfig
 from streamlod.core.train.field.decode import Splats
-from streamlod.core.train.field.exposure import Exposure, neutral
+from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.field.field import Field, visible_levels
 from streamlod.core.train.field.learned import LearnedField
 from streamlod.core.train.field.rounding import Precision, usual_precision
@@ -39,9 +39,9 @@ class KeyframeTrainer:
         views: the pictures.
         config: the whole configuration.
         backend: of the rasteriser.
-        exposure: of the cameras, to begin with; neutral by default.
+        exposure: of the cameras, to begin with.
+        motion_cell: see above.
         space: before the cameras, where nothing may stay; None where it is not known.
-        motion_cell: see above; that of the field by default.
     """
 
     def __init__(
@@ -50,19 +50,18 @@ class KeyframeTrainer:
         views: Views,
         config: TrainConfig,
         backend: Backend,
-        exposure: Exposure | None = None,
+        exposure: Exposure,
+        motion_cell: float,
         space: NearSpace | None = None,
-        motion_cell: float | None = None,
     ) -> None:
         self._config, self._model = _at_contrast(config.keyframe, views.contrast), config.model
         device = field.feature.device
         self._generator = torch.Generator(device).manual_seed(config.seed)
         self._chances = torch.Generator().manual_seed(config.seed)  # what the host decides
         self._order = view_order(views.usable, self._chances)
-        self._exposure = neutral(len(views.cameras), device) if exposure is None else exposure.frozen()
+        self._exposure = exposure.frozen()
         self._learned = LearnedField(field, self._exposure if config.model.exposure else None)
-        self._views, self._space = views, space
-        self.motion_cell = field.octree.motion_cell if motion_cell is None else motion_cell
+        self._views, self._space, self.motion_cell = views, space, motion_cell
         sizes = views.sizes() if self._config.half_size_until > 0 else [views]
         self._sizes = [ViewLoss(size, self._exposure, self._config, backend) for size in sizes]
         self._tables = self._made_tables()
@@ -92,7 +91,7 @@ class KeyframeTrainer:
     @property
     def broken(self) -> int:
         """Gradient entries that were not finite and were taken as zero."""
-        return self._learned.broken
+        return self._learned.optimiser.broken
 
     def step(self) -> Tensor:
         """One view, one update; returns its loss, detached."""
@@ -112,7 +111,7 @@ class KeyframeTrainer:
         self._learned.step(keyframe_rates(config, progress))
         self._exposure.centre()
         if progress >= config.average_from:
-            self._learned.average()
+            self._learned.optimiser.average()
         self._steps += 1
         if self._steps % config.growth_interval == 0:
             self._refine(unlocked, grows=config.growth_from < progress < config.growth_until)
