@@ -27,8 +27,8 @@ from streamlod.core.scene.interpolate import can_interpolate, interpolate
 _WHOLE_SECONDS = 10.0  # that the first picture may wait for all levels of its scene
 _LOG = logging.getLogger(__name__)
 _QUIET_SECONDS = 2.0  # a stream that has ended is over when no packet comes for so long
-_GONE_SECONDS = 30.0  # that a film of what a server has kept waits for more, where cameras are missing
-_WITHOUT_CAMERAS = ("starting", "degraded")  # states of a stream in which no picture may ever come
+_GONE_SECONDS = 30.0  # that a film of what a server has kept waits for more, where none may come
+_WITHOUT_PICTURES = ("idle", "starting", "degraded")  # states of a stream in which no picture may ever come
 
 Tell = Callable[[str], None]
 
@@ -50,8 +50,8 @@ async def record_stream(
     as what they show, but for gaps of more than ten seconds: pictures that fall between two states show what lies
     between them (`core.scene.interpolate`), or the earlier one where a keyframe comes between.
 
-    Begun in the past (`options.start`), it is over, too, when all of that is here, the stream lacks cameras, and half a
-    minute brings nothing new.
+    Begun in the past (`options.start`), it is over, too, when all of that is here, the stream lacks cameras or is idle,
+    and half a minute brings nothing new.
 
     If the viewpoint moves, it finishes its path around the last scene when the stream is over.
 
@@ -147,7 +147,7 @@ class _Take:
         """Seconds that the next event is waited for; None without end."""
         if self._state == "ended" and (self.newest or self._kept) is not None:
             return _QUIET_SECONDS
-        if self._caught_up is not None and self._state in _WITHOUT_CAMERAS:
+        if self._caught_up is not None and self._state in _WITHOUT_PICTURES:
             return max(0.0, self._caught_up + _GONE_SECONDS - time.monotonic())
         return None
 

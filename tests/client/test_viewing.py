@@ -94,7 +94,9 @@ def test_a_stream_that_ends_before_all_levels_came_is_still_seen(tmp_path: Path)
     assert recorded([coarse], tmp_path / "seen") == 1
 
 
-@pytest.mark.parametrize(("start", "state"), [((1, 0), "degraded"), ((1, 0), "starting"), (None, "degraded")])
+@pytest.mark.parametrize(
+    ("start", "state"), [((1, 0), "degraded"), ((1, 0), "starting"), ((1, 0), "idle"), (None, "degraded")]
+)
 def test_what_a_server_has_kept_ends_where_no_camera_films(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
