@@ -181,7 +181,9 @@ class KeyframeConfig:
         reading(0.0, "not mentioned: no picture shows what hangs there"),
     )
     extra_level_gain: float = setting(
-        0.01, "levels that an anchor with large gradients earns at a refinement", octree_gs(0.01, "the size of Delta L")
+        0.0,
+        "levels that an anchor with large gradients earns at a refinement, for `model.selection` by distance",
+        octree_gs(0.01, "the size of Delta L"),
     )
     rounding_from: float = setting(
         0.75,

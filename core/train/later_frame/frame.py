@@ -124,7 +124,6 @@ def _selected(state: State, pictures: Comparison, index: int, config: PredictCon
         views=pictures.views,
         references=pictures.known.references,
         masks=pictures.masks,
-        previous=previous,
         backend=means.backend,
     )
     return cue_of(config.cue).partition(seen, config.posterior), True

@@ -15,7 +15,6 @@ from streamlod.core.errors import unknown_name
 from streamlod.core.train.motion.masks import dynamic_anchors
 from streamlod.core.train.motion.scores import Observation, change_scores, error_scores
 
-_HYSTERESIS = 0.5  # an anchor stays dynamic above this share of the entering posterior
 _MAX_CHANGED = 0.5  # share of changed pixels above which nothing stands still for the mixture to separate
 
 
@@ -38,14 +37,14 @@ def _difference(seen: Observation, posterior: float) -> Bool:
     scores = change_scores(seen)
     if seen.masks[seen.views.usable].float().mean() > _MAX_CHANGED:
         return np.asarray(scores > 0)
-    return dynamic_anchors(scores, seen.previous, posterior, posterior * _HYSTERESIS)
+    return dynamic_anchors(scores, posterior)
 
 
 def _canonical(seen: Observation, posterior: float) -> Bool:
     """By the gradient of the error between a rendering of the keyframe's state and the new pictures (the paper's)."""
     if not seen.masks.any():  # where no pixel changed, the error is static
         return np.zeros(len(seen.field), np.bool_)
-    return dynamic_anchors(error_scores(seen), seen.previous, posterior, posterior * _HYSTERESIS)
+    return dynamic_anchors(error_scores(seen), posterior)
 
 
 def _everything(seen: Observation, posterior: float) -> Bool:

@@ -87,8 +87,8 @@ def least_change(noise: float, floor: float) -> float:
     return min(max(floor, _NOISE_FACTOR * noise), _MAX_FLOOR * floor)
 
 
-def mixture_thresholds(scores: Float64, *posteriors: float) -> list[float]:
-    """Scores from which an anchor is dynamic with at least each posterior, by a mixture of two Gaussians (paper eq. 8).
+def mixture_threshold(scores: Float64, posterior: float) -> float:
+    """Score from which an anchor is dynamic with at least this posterior, by a mixture of two Gaussians (paper eq. 8).
 
     Made monotone: everything above the lowest score from which the posterior stays above the threshold is dynamic.
 
@@ -96,14 +96,14 @@ def mixture_thresholds(scores: Float64, *posteriors: float) -> list[float]:
         scores: [N] positive, finite.
 
     Returns:
-        The thresholds; 0 where there are too few scores or they are all alike, so that all are dynamic.
+        The threshold; 0 where there are too few scores or they are all alike, so that all are dynamic.
     """
     if len(scores) < _MIN_SCORED:
-        return [0.0] * len(posteriors)
+        return 0.0
     limited = np.minimum(scores, 10 * np.quantile(scores, 0.98))  # one wild score must not bend the mixture
     values = (limited / limited.mean()) ** _POWER
     if np.ptp(values) < 1e-6:
-        return [0.0] * len(posteriors)
+        return 0.0
     from sklearn.mixture import GaussianMixture  # loads for a second, which first frames need not wait for
 
     mixture = GaussianMixture(
@@ -116,25 +116,20 @@ def mixture_thresholds(scores: Float64, *posteriors: float) -> list[float]:
     high = int(np.argmax(mixture.means_[:, 0]))
     order = np.argsort(values)
     probability = mixture.predict_proba(values[order, None])[:, high]
-    thresholds = []
-    for posterior in posteriors:
-        unsure = np.flatnonzero((probability <= posterior) | (values[order] <= mixture.means_[1 - high, 0]))
-        first = unsure[-1] + 1 if len(unsure) else 0
-        thresholds.append(float(scores[order[first]]) if first < len(order) else float("inf"))
-    return thresholds
+    unsure = np.flatnonzero((probability <= posterior) | (values[order] <= mixture.means_[1 - high, 0]))
+    first = unsure[-1] + 1 if len(unsure) else 0
+    return float(scores[order[first]]) if first < len(order) else float("inf")
 
 
-def dynamic_anchors(scores: Float64, previous: Bool, enter: float, leave: float) -> Bool:
-    """[N] anchors to train: those above the mixture's threshold, with hysteresis, so that the set changes little.
+def dynamic_anchors(scores: Float64, posterior: float) -> Bool:
+    """[N] anchors to train: those whose score is above the mixture's threshold.
 
     Args:
         scores: [N] motion scores, 0 for anchors that see no change.
-        previous: [N] dynamic in the frame before.
-        enter, leave: posteriors above which an anchor becomes, and stays, dynamic.
+        posterior: of the mixture's dynamic component, from which an anchor is dynamic.
     """
     scores = np.nan_to_num(scores, nan=0.0, posinf=0.0, neginf=0.0)
     scored = scores > 0
     if not scored.any():
         return np.zeros(len(scores), np.bool_)
-    into, out = mixture_thresholds(scores[scored], enter, leave)
-    return scored & ((scores >= into) | (previous & (scores >= out)))
+    return scored & (scores >= mixture_threshold(scores[scored], posterior))

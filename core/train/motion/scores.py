@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from streamlod.core.arrays import Bool, Float64
+from streamlod.core.arrays import Float64
 from streamlod.core.render.backends import Backend
 from streamlod.core.render.differentiable import rasterise
 from streamlod.core.train.field.decode import Splats
@@ -27,7 +27,6 @@ class Observation:
         views: the pictures of the next instant.
         references: [C,H,W,3] pictures that the new ones are compared with, see `State`.
         masks: [C,H,W] bool, pixels that changed against the references, see `change_masks`.
-        previous: [N] bool, anchors that the frame before trained.
         backend: of the rasteriser.
     """
 
@@ -37,7 +36,6 @@ class Observation:
     views: Views
     references: Tensor
     masks: Tensor
-    previous: Bool
     backend: Backend
 
 

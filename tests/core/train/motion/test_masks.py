@@ -12,7 +12,7 @@ from streamlod.core.train.motion.masks import (
     changed_pixels,
     dynamic_anchors,
     least_change,
-    mixture_thresholds,
+    mixture_threshold,
     noise_between,
 )
 from streamlod.core.train.pictures.views import Views
@@ -92,7 +92,7 @@ def test_the_few_high_scores_are_dynamic(outlier: float) -> None:
     random = np.random.default_rng(2)
     scores = np.concatenate([random.gamma(2, 1e-6, 900), random.gamma(20, 1e-4, 100)])
     scores[-1] *= outlier
-    dynamic = dynamic_anchors(scores, np.zeros(1000, bool), 0.8, 0.4)
+    dynamic = dynamic_anchors(scores, 0.8)
     assert dynamic[900:].mean() > 0.9
     assert dynamic[:900].mean() < 0.05
 
@@ -100,29 +100,20 @@ def test_the_few_high_scores_are_dynamic(outlier: float) -> None:
 @pytest.mark.parametrize("count", [0, 1, 2, 15])
 def test_few_samples_are_all_dynamic(count: int) -> None:
     scores = np.linspace(1, 2, count)
-    assert dynamic_anchors(scores, np.zeros(count, bool), 0.8, 0.4).all()
+    assert dynamic_anchors(scores, 0.8).all()
 
 
 def test_identical_scores_are_all_dynamic() -> None:
-    assert dynamic_anchors(np.full(50, 0.3), np.zeros(50, bool), 0.8, 0.4).all()
+    assert dynamic_anchors(np.full(50, 0.3), 0.8).all()
 
 
 def test_no_scores_and_broken_scores_are_static() -> None:
     scores = np.array([0.0, np.nan, np.inf, -np.inf] * 10)
-    assert not dynamic_anchors(scores, np.ones(40, bool), 0.8, 0.4).any()
+    assert not dynamic_anchors(scores, 0.8).any()
 
 
 def test_the_threshold_is_monotone() -> None:
     random = np.random.default_rng(3)
     scores = np.concatenate([random.gamma(2, 1.0, 500), random.gamma(2, 50.0, 60)])
-    low, middle, high = mixture_thresholds(scores, 0.5, 0.8, 0.99)
+    low, middle, high = (mixture_threshold(scores, posterior) for posterior in (0.5, 0.8, 0.99))
     assert low <= middle <= high
-
-
-def test_hysteresis_keeps_what_was_dynamic() -> None:
-    random = np.random.default_rng(4)
-    scores = np.concatenate([random.normal(10, 1, 500), random.normal(16, 2, 100)]) ** 4
-    fresh = dynamic_anchors(scores, np.zeros(600, bool), 0.95, 0.05)
-    held = dynamic_anchors(scores, np.ones(600, bool), 0.95, 0.05)
-    assert (held | ~fresh).all()
-    assert held.sum() > fresh.sum()
