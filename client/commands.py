@@ -8,10 +8,11 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
 import numpy as np
 
+from streamlod.client.connection.address import live_address
 from streamlod.client.connection.link import WatchOptions
 from streamlod.client.inspection import describe_file
 from streamlod.client.recording import decode_frames, decode_version, versions
@@ -20,8 +21,10 @@ from streamlod.client.viewpoints import CameraPath, along, camera_named, orbit, 
 from streamlod.codec.export import bake, write_snapshot
 from streamlod.codec.snapshots import CLIP_SUFFIXES, FORMATS, PACKET_SUFFIXES, formats_called
 from streamlod.core.arrays import Float64
-from streamlod.core.errors import BitstreamError, InputError
+from streamlod.core.data.names import spoken
+from streamlod.core.errors import BitstreamError, InputError, RequestRefused, SessionError
 from streamlod.core.files import check_output, write_text
+from streamlod.core.options import TOKEN_VARIABLE
 from streamlod.core.progress_bar import progress_bar
 from streamlod.core.scene.anchors import Scene, SceneHeader
 
@@ -31,8 +34,8 @@ if TYPE_CHECKING:
 _PATH_SIZE = 1280, 720  # pixels, where the scene has no camera
 _OLDEST = 1, 0  # the position before all others: the server begins with the oldest that it has
 _BAR_DELAY_SECONDS = 0.5  # that a bar waits: what is refused at once is told without
+_NO_STREAM = 4404  # close code of docs/protocol.md
 AVERAGE = "average"
-TOKEN_VARIABLE = "STREAMLOD_TOKEN"
 
 
 def info(scene: Path) -> str:
@@ -89,8 +92,30 @@ def view(
             bar.set_postfix_str(text, refresh=not is_picture and bar.format_dict["elapsed"] > _BAR_DELAY_SECONDS)
             bar.update(1 if is_picture else 0)
 
-        count = asyncio.run(record_stream(url, out, viewpoint, frames, options, tell, fps))
+        try:
+            count = asyncio.run(record_stream(url, out, viewpoint, frames, options, tell, fps))
+        except SessionError as error:
+            if error.close_code != _NO_STREAM:
+                raise
+            raise SessionError(_NO_STREAM, f"{error.detail}{_streams_there(url, options.token)}") from error
     return f"{count} pictures in {out}"
+
+
+def _streams_there(url: str, token: str | None) -> str:
+    """The streams that a server has instead of that of `url`, to end a sentence; empty where it does not tell."""
+    from streamlod.client.rest import ServerClient  # it needs a library that watching does not
+
+    page = live_address(url).replace("ws", "http", 1).partition("/v1/streams/")[0]
+    try:
+        with ServerClient(page, token) as server:
+            names = [stream.id for stream in server.streams()]
+    except (InputError, RequestRefused):
+        return ""
+    return (
+        f"; it has {spoken(names, 5)}: watch {page}/?stream={quote(names[0], safe='')}"
+        if names
+        else "; it has no stream yet"
+    )
 
 
 def evaluate(

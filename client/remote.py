@@ -10,9 +10,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
-from streamlod.client.commands import TOKEN_VARIABLE
 from streamlod.client.rest import ServerClient
 from streamlod.core.errors import InputError
+from streamlod.core.options import TOKEN_VARIABLE
 
 _Value = TypeVar("_Value", bool, int)
 ALONE = ("list", "recordings", "server", "events")  # actions that need no stream

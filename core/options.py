@@ -16,6 +16,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from streamlod.core.errors import InputError
 
+TOKEN_VARIABLE = "STREAMLOD_TOKEN"  # of the environment, which holds the token of whoever runs a command
 MAX_CAMERAS = 256
 PRESETS = ("live", "balanced", "quality", "paper")
 _KINDS: dict[Any, str] = {

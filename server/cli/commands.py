@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 from streamlod.core.errors import BackendUnavailable, BitstreamError, InputError, TrainingCutShort
 from streamlod.core.files import write_text
+from streamlod.core.options import TOKEN_VARIABLE
 from streamlod.core.progress_bar import Bar, progress_bar
 from streamlod.core.runtime import cache_folder
 from streamlod.core.version import streamlod_version
@@ -172,7 +173,7 @@ def push(url: str, sources: list[str], fps: float, size: str | None, loop: bool,
     from streamlod.server.ingest.push.sources import find_cameras
 
     cameras = find_cameras(sources, fps, None if size is None else picture_size(size), repeats=loop)
-    pushed = send(url, cameras, os.environ.get("STREAMLOD_TOKEN"), ca)
+    pushed = send(url, cameras, os.environ.get(TOKEN_VARIABLE), ca)
     return "\n".join(
         f"{name}: {one.acknowledged} pictures taken, {one.refused} refused, {one.dropped} dropped"
         for name, one in pushed.items()

@@ -17,6 +17,7 @@ from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from starlette.exceptions import HTTPException
 
 from streamlod.core.errors import BackendUnavailable
+from streamlod.core.options import TOKEN_VARIABLE
 from streamlod.server.api import downloads, events, live, poster, push, recordings, server_info, streams, viewers
 from streamlod.server.api.access import grant_of, need, registry_of
 from streamlod.server.api.hls import routes as hls
@@ -79,7 +80,7 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
     shared = _shared(settings)
     registry = Registry(settings, specs, None if shared is None else shared.outbox)
     traced = _traced(settings, registry.traces)
-    origin = None if settings.edge is None else Origin(settings.edge.origin, os.environ.get("STREAMLOD_TOKEN"))
+    origin = None if settings.edge is None else Origin(settings.edge.origin, os.environ.get(TOKEN_VARIABLE))
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:

@@ -271,7 +271,8 @@ def test_serve_and_view_until_interrupted(run: Run, tmp_path: Path, scene: Path)
             assert len(list((tmp_path / "views").glob("*.png"))) == 3
             assert_refused(run("view", url, "--camera", "cam77", "--out", tmp_path / "v"), "cam77", "cam00")
             wrong = url.replace("main", "other")
-            assert_refused(run("view", wrong, "--out", tmp_path / "v"), wrong, "4404")
+            there = f"it has main: watch http://{place}/?stream=main"
+            assert_refused(run("view", wrong, "--out", tmp_path / "v"), wrong, "4404", there)
             server.send_signal(signal.SIGINT)
             server.stderr.read()
             assert server.wait(60) == 0
