@@ -103,19 +103,17 @@ def view(
 
 def _streams_there(url: str, token: str | None) -> str:
     """The streams that a server has instead of that of `url`, to end a sentence; empty where it does not tell."""
-    from streamlod.client.rest import ServerClient  # it needs a library that watching does not
-
     page = live_address(url).replace("ws", "http", 1).partition("/v1/streams/")[0]
     try:
+        from streamlod.client.rest import ServerClient  # which is not in an image that only watches
+
         with ServerClient(page, token) as server:
             names = [stream.id for stream in server.streams()]
-    except (InputError, RequestRefused):
+    except (ImportError, InputError, RequestRefused):
         return ""
-    return (
-        f"; it has {spoken(names, 5)}: watch {page}/?stream={quote(names[0], safe='')}"
-        if names
-        else "; it has no stream yet"
-    )
+    if not names:
+        return "; it has no stream yet"
+    return f"; it has {spoken(names, 5)}: watch {page}/?stream={quote(names[0], safe='')}"
 
 
 def evaluate(

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import ssl
+import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,10 @@ import cv2
 import numpy as np
 import pytest
 from websockets.asyncio.server import ServerConnection, serve
+from websockets.sync.server import ServerConnection as SyncConnection
+from websockets.sync.server import serve as serve_in_threads
 
+from streamlod.client.commands import view
 from streamlod.client.connection.link import SUBPROTOCOL, WatchOptions
 from streamlod.client.viewing import record_stream
 from streamlod.codec.encoder import encode_keyframe, encode_residual
@@ -142,6 +147,29 @@ def test_who_may_not_watch_any_more_keeps_the_film(tmp_path: Path) -> None:
     with pytest.raises(SessionError, match="the token has expired"):
         recorded([], tmp_path / "b.mp4", end=end)
     assert not (tmp_path / "b.mp4").exists()
+
+
+@pytest.mark.parametrize("missing", ["pydantic", "nothing"])
+def test_a_stream_that_is_not_there_is_refused_also_where_nobody_tells_what_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, missing: str
+) -> None:
+    """By an image without REST, and by a server that answers no question."""
+    monkeypatch.setitem(sys.modules, missing, None)
+    for name in ("rest", "rest_answers"):
+        monkeypatch.delitem(sys.modules, f"streamlod.client.{name}", raising=False)
+
+    def refuse(socket: SyncConnection) -> None:
+        socket.recv()
+        socket.close(4404, "there is no such stream")
+
+    with serve_in_threads(refuse, "127.0.0.1", 0, subprotocols=[SUBPROTOCOL], compression=None) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        address = f"http://127.0.0.1:{server.socket.getsockname()[1]}"
+        with pytest.raises(SessionError, match=r"there is no such stream \[4404\]$"):
+            view(address, tmp_path / "out", orbiting=True)
+        server.shutdown()
+        thread.join(60)
 
 
 def test_a_picture_for_each_state(tmp_path: Path) -> None:
