@@ -24,7 +24,7 @@ from streamlod.core.errors import InputError
 from streamlod.core.synthetic.render import depth_bounds, ground_truth, render_image
 from streamlod.core.synthetic.spec import SyntheticSpec, cameras, exposures
 
-_QUALITY = "16"  # constant rate factor of H.264; fine colour is lost all the same, as in any camera's 4:2:0 video
+_H264 = {"crf": "16", "x264-params": "chroma-qp-offset=-6", "preset": "veryfast", "threads": "1"}  # 35 to 36 dB
 _SPEC = Path("ground_truth") / "spec.json"
 _LATER = {"kind", "speed"}  # absent from clips of earlier versions
 _TRUTH_FRAMES = 4  # instants whose ground truth is written: the first, the last and two between
@@ -151,8 +151,9 @@ def _write_files(spec: SyntheticSpec, folder: Path, progress: Callable[[float], 
 def _write_video(spec: SyntheticSpec, camera: int, path: Path) -> None:
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=Fraction(spec.fps).limit_denominator(1001))
-        stream.width, stream.height, stream.pix_fmt = spec.width, spec.height, "yuv420p"
-        stream.options = {"crf": _QUALITY, "preset": "veryfast", "threads": "1"}
+        # Colours of full width and height: with halved ones (4:2:0) small pictures miss the truth by 29 to 30 dB
+        stream.width, stream.height, stream.pix_fmt = spec.width, spec.height, "yuv444p"
+        stream.options = _H264
         for index in range(spec.frames):
             picture = av.VideoFrame.from_ndarray(render_image(spec, index, camera), format="rgb24")
             container.mux(stream.encode(picture))

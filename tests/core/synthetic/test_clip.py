@@ -10,6 +10,7 @@ import pytest
 
 from streamlod.core.data import open_dataset
 from streamlod.core.errors import InputError
+from streamlod.core.metrics import psnr
 from streamlod.core.synthetic import (
     SyntheticSpec,
     cameras,
@@ -59,6 +60,8 @@ def test_the_files_read_back_as_the_clip(clip: Path) -> None:
     for frame, truth in zip(data.frames(), open_synthetic(SPEC).frames(), strict=True):
         luma = (frame.images.astype(float) - truth.images) @ [0.299, 0.587, 0.114]
         assert 10 * np.log10(255**2 / np.mean(luma**2)) > 36
+        for number in range(SPEC.cameras):
+            assert psnr(frame.images[number], truth.images[number]) > 34
 
 
 @pytest.mark.long
