@@ -110,19 +110,32 @@ class _Mp4(AbstractContextManager["_Mp4"]):
         if (height, width) != (self._stream.height, self._stream.width):
             raise InputError(self._path, "pictures changed their size; record each size into its own file")
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture[:height, :width]), format="rgb24")
-        self._container.mux(self._stream.encode(frame))
+        try:
+            self._container.mux(self._stream.encode(frame))
+        except (av.FFmpegError, OSError) as error:
+            raise self._unwritten(error) from error
         self.count += 1
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        import av
+
         if self._container is None:
             return
         try:
-            if kind is None:
-                self._container.mux(self._stream.encode(None))
-        finally:
-            self._container.close()
+            try:
+                if kind is None:
+                    self._container.mux(self._stream.encode(None))
+            finally:
+                self._container.close()
             if kind is None:
                 put_in_place(self._temporary, self._path)
+        except (av.FFmpegError, OSError) as fault:
+            if kind is None:  # else what came first is told
+                raise self._unwritten(fault) from fault
+        finally:
             self._temporary.unlink(missing_ok=True)
+
+    def _unwritten(self, error: Exception) -> InputError:
+        return InputError(self._path, f"cannot be written ({getattr(error, 'strerror', None) or error})")

@@ -12,6 +12,7 @@ import pytest
 from streamlod.client.recorder import open_recorder, write_png
 from streamlod.core.arrays import UInt8
 from streamlod.core.errors import InputError
+from tests.small_disk import files_up_to
 
 
 def picture(number: int, size: tuple[int, int] = (48, 64)) -> UInt8:
@@ -66,6 +67,20 @@ def test_an_error_leaves_no_video(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="changed their size"):
         record()
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("count", [2, 200])  # the disk is full at the end of the film, or amid it
+def test_a_full_disk_is_told_by_the_films_name_and_leaves_nothing(tmp_path: Path, count: int) -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
+
+    def film() -> None:
+        with open_recorder(tmp_path / "a.mp4", 30) as recorder:
+            for shift in range(count):
+                recorder.add(np.roll(noise, 7 * shift, axis=1))
+
+    with files_up_to(3000), pytest.raises(InputError, match=r"/a\.mp4: cannot be written \(File too large\)"):
+        film()
+    assert [*tmp_path.iterdir()] == []
 
 
 def test_films_are_told_by_their_suffix_in_any_case(tmp_path: Path) -> None:
