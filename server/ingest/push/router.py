@@ -68,7 +68,11 @@ def push_router(
             except BaseException:
                 await asyncio.to_thread(intake.close)
                 raise
-            await _first(_take(websocket, intake), *(end(websocket, stream_id) for end in ends))
+            try:
+                await _first(_take(websocket, intake), *(end(websocket, stream_id) for end in ends))
+            except SessionError as error:
+                _LOG.info("stream %s: a phone or capture node is closed: %s", stream_id, error.detail)
+                raise
         except SessionError as error:
             await _close(websocket, error.close_code, error.detail)
         except ClientDisconnected:  # perhaps before it was accepted, which is for uvicorn to know

@@ -72,7 +72,10 @@ def sign(found: Stage, **body: Any) -> Any:
         return client.post("/v1/streams/main/links", json=body)
 
 
-def test_a_link_for_a_camera_opens_that_camera_until_it_expires(guarded: Stage) -> None:
+def test_a_link_for_a_camera_opens_that_camera_until_it_expires(
+    guarded: Stage, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "streamlod")
     answer = sign(guarded, path="ingest/phone1", seconds=2)
     assert answer.status_code == 201
     link = answer.json()
@@ -86,6 +89,7 @@ def test_a_link_for_a_camera_opens_that_camera_until_it_expires(guarded: Stage) 
     with pushing(guarded, f"?camera=phone1&{link['query']}") as node:
         assert closes(node) == 4401
         assert node.close_reason == LINK_ENDED
+    assert f"stream main: a phone or capture node is closed: {LINK_ENDED}" in caplog.text
 
 
 def test_a_link_opens_nothing_else_and_no_other_link_opens_a_camera(guarded: Stage) -> None:
