@@ -9,6 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from streamlod.core.arrays import UInt8
+from streamlod.core.camera import Camera
 from streamlod.core.frames import PointCloud
 from streamlod.core.metrics import psnr
 from streamlod.core.render.cpu import render
@@ -66,20 +68,29 @@ def test_never_all_of_them_go(effects: Tensor) -> None:
     assert int(gone.sum()) == max(len(effects) - 1, 0)
 
 
+def left_behind(
+    cameras: tuple[Camera, ...], pictures: UInt8, points: PointCloud, share: float, seed: int
+) -> tuple[int, float]:
+    """Anchors behind the wall after a short training with this `effect_share`, and dB at the cameras."""
+    config = replace(short(preset("live"), 200), seed=seed)
+    config = replace(config, keyframe=replace(config.keyframe, effect_share=share))
+    scene = Trainer(cameras, config, 30.0, "cpu").keyframe(frames(pictures), points).scene
+    shown = [render(expand(scene, c.centre), c, np.zeros(3, np.float32)).image.clip(0, 1) for c in cameras]
+    quality = np.mean([psnr(a, b.astype(np.float32) / 255) for a, b in zip(shown, pictures, strict=True)])
+    depth = [anchor_positions(scene.header, number, level)[:, 2] for number, level in enumerate(scene.levels)]
+    return int((np.concatenate(depth) > 0.75).sum()), float(quality)
+
+
 @pytest.mark.long
 def test_anchors_that_a_wall_hides_are_not_sent() -> None:
     cameras = ring(3)
     pictures, visible, hidden = printed_wall(cameras, 1.2), wall(300), wall(300, seed=1)
     behind = hidden.positions + np.array([0, 0, 1.5], np.float32)
     points = PointCloud(np.concatenate([visible.positions, behind]), np.concatenate([visible.colours, hidden.colours]))
-    config, found = short(preset("live"), 200), []
-    for share in (0.0, config.keyframe.effect_share):
-        chosen = replace(config, keyframe=replace(config.keyframe, effect_share=share))
-        scene = Trainer(cameras, chosen, 30.0, "cpu").keyframe(frames(pictures), points).scene
-        shown = [render(expand(scene, c.centre), c, np.zeros(3, np.float32)).image.clip(0, 1) for c in cameras]
-        quality = np.mean([psnr(a, b.astype(np.float32) / 255) for a, b in zip(shown, pictures, strict=True)])
-        depth = [anchor_positions(scene.header, number, level)[:, 2] for number, level in enumerate(scene.levels)]
-        found.append((int((np.concatenate(depth) > 0.75).sum()), float(quality)))
+    found = []
+    for share in (0.0, preset("live").keyframe.effect_share):
+        counts, quality = zip(*(left_behind(cameras, pictures, points, share, seed) for seed in (0, 1)), strict=True)
+        found.append((sum(counts), float(np.mean(quality))))
     (all_of_them, before), (fewer, after) = found
     assert fewer < 0.5 * all_of_them
     assert after > before - 1.0
