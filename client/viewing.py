@@ -24,8 +24,8 @@ from streamlod.core.render.splatter import Splatter, draw_cloud, shown_at
 from streamlod.core.scene.anchors import SceneHeader
 from streamlod.core.scene.interpolate import can_interpolate, interpolate
 
-_WHOLE_SECONDS = 10.0  # that the first picture may wait for all levels of its scene
 _LOG = logging.getLogger(__name__)
+_WHOLE_SECONDS = 10.0  # that the first picture may wait for all levels of its scene
 _QUIET_SECONDS = 2.0  # a stream that has ended is over when no packet comes for so long
 _GONE_SECONDS = 30.0  # that a film of what a server has kept waits for more, where none may come
 _WITHOUT_PICTURES = ("idle", "starting", "degraded")  # states of a stream in which no picture may ever come
@@ -244,8 +244,8 @@ class _Take:
     def close(self, error: BaseException | None) -> None:
         """Complete the recording, or discard it after an error."""
         if self._recorder is not None:
-            keep = error is None or isinstance(error, KeyboardInterrupt | asyncio.CancelledError)
-            self._recorder.__exit__(*((None, None, None) if keep or error is None else (type(error), error, None)))
+            fault = None if isinstance(error, KeyboardInterrupt | asyncio.CancelledError) else error
+            self._recorder.__exit__(None if fault is None else type(fault), fault, None)
 
 
 def _filmed_ns(before: NewScene, after: NewScene, share: float) -> int:

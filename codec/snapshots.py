@@ -84,8 +84,6 @@ FORMATS = {
         SnapshotFormat("glb", ".glb", _encode_glb, _decode_glb, "y"),
     )
 }
-
-
 AXES = ("y", "-y", "z", "-z", "x", "-x")  # any of which may point up in a file
 CLIP_SUFFIXES = {"4dgs": (".4dgs",), "usd": (".usdc", ".usda", ".usd")}  # of whole clips by format; the first is usual
 PACKET_SUFFIXES = {"mp4": ".mp4", "hls": ""}  # of files, or a folder, that carry the packets themselves

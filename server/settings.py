@@ -260,8 +260,8 @@ class Settings(_Strict):
         """Refuse combinations that are not safe.
 
         Raises:
-            InputError: a public address without tokens, half a certificate, part of a second GPU, or origins that
-                are none.
+            InputError: a public address without tokens, an edge with streams, recordings or a bus of its own, part of a
+                second GPU, half a certificate, or networks or origins that are none.
         """
         if self.is_public and not (self.has_tokens or self.insecure):
             raise InputError(

@@ -118,15 +118,8 @@ def _begun_split(splits: list[dict[str, Any]], footage: Footage) -> int:
 
 def _row_entry(row: Row, picture: str) -> dict[str, Any]:
     """A system's entry in the report, before any run."""
-    config = as_json(asdict(row.config))
-    return {
-        "name": row.name,
-        "note": row.note,
-        "frozen": row.frozen,
-        "config": config,
-        "picture": picture,
-        "seeds": [],
-    }
+    facts = {"name": row.name, "note": row.note, "frozen": row.frozen, "config": as_json(asdict(row.config))}
+    return {**facts, "picture": picture, "seeds": []}
 
 
 def _measured(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

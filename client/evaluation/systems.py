@@ -204,7 +204,9 @@ def run_system(
         else:
             shannon = shannon_residual_bytes(before, trained.residual)
             if spec is not None:
-                dynamic = np.zeros(_rows(before), np.bool_) if trained.dynamic is None else trained.dynamic
+                dynamic = (
+                    np.zeros(sum(map(len, before.levels)), np.bool_) if trained.dynamic is None else trained.dynamic
+                )
                 rig = footage.training
                 motion = dynamic_precision_recall(spec, before, dynamic, index, rig.cameras, rig.calibrated)
         scores.append(TrainedScore(index, picture, size, shannon, trained.report, seconds, motion, moving))
@@ -259,10 +261,6 @@ def _trained_frames(
             before, begin = trainer.scene, time.process_time()
             trained = trainer.predict(training)
             yield trained, before, training, testing, peak, time.process_time() - begin
-
-
-def _rows(scene: Scene) -> int:
-    return sum(len(level) for level in scene.levels)
 
 
 def _trainer(footage: Footage, config: TrainConfig, device: str) -> Trainer:

@@ -26,7 +26,11 @@ def encode_plain(matrix: NDArray[Any]) -> bytes:
 
 
 def row_count(data: bytes) -> int:
-    """The number of rows that a chunk announces behind its coding; BitstreamError `corrupt_chunk` if it is 0."""
+    """The number of rows that a chunk announces behind its coding.
+
+    Raises:
+        BitstreamError: `corrupt_chunk`, it is 0, or the chunk ends before it.
+    """
     if len(data) < _HEAD.size:
         raise BitstreamError("corrupt_chunk", "a chunk ends before its row count")
     count: int = _HEAD.unpack_from(data)[1]

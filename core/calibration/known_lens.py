@@ -14,8 +14,7 @@ from streamlod.core.calibration.track import Track
 from streamlod.core.errors import InputError
 
 _MISFIT, _MISFIT_PIXELS = 1.6, 0.3  # times the misses of a lens from the walk, and pixels, that a known one may miss by
-
-_NOWHERE = 999.0  # pixels
+_NOWHERE = 999.0  # pixels, for a lens by which no pose is found
 
 
 def check_known(tracks: Sequence[Track], lenses: Mapping[str, Float64], board: Float64) -> None:

@@ -1,4 +1,4 @@
-"""The commands `streamlod synth | train | serve | push | bench | warm`; each returns the text to print."""
+"""The commands `synth`, `train`, `serve`, `push`, `bench`, `version` and `warm`; they return the text to print."""
 
 from __future__ import annotations
 

@@ -42,10 +42,14 @@ class Present:
     view: dict[str, Any] | None
     at: Moment | None
 
+    @property
+    def shown(self) -> dict[str, Any]:
+        """What followers are told, as fields of an event; empty where nothing is shown any more."""
+        return {} if self.view is None or self.at is None else {"view": self.view, "at": self.at.to_json()}
+
     def to_json(self) -> dict[str, Any]:
         """The message."""
-        at = {} if self.at is None else {"at": self.at.to_json()}
-        return {"type": "present", "view": self.view, **at}
+        return {"type": "present", "view": None, **self.shown}
 
 
 @dataclass(frozen=True, slots=True)

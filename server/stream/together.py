@@ -47,13 +47,13 @@ class Together:
         """Show what a viewer presents, or nothing more of it; False while somebody else presents."""
         if (self._asked or self.by) not in (None, session):
             return False
-        if message.view is None or message.at is None:
+        if not message.shown:
             self.leave(session)
         elif self.forward is not None:
             self._asked = session
             self.forward(message)
         else:
-            self._show(session, {"view": message.view, "at": message.at.to_json()})
+            self._show(session, message.shown)
         return True
 
     def relay(self, by: str | None, message: Present, is_ours: bool = False) -> None:
@@ -62,11 +62,8 @@ class Together:
             by, message = self._asked, message if self._asked else Present(None, None)
         elif by is not None:
             self._asked = None  # somebody else was first
-        if message.view is None or message.at is None:
-            if (by, self.by) != (None, None):
-                self._show(by, {})
-        else:
-            self._show(by, {"view": message.view, "at": message.at.to_json()})
+        if message.shown or (by, self.by) != (None, None):
+            self._show(by, message.shown)
 
     def permit(self, is_permitted: bool) -> None:
         """The origin lets viewers of this server present, or no longer; nothing of theirs is shown there any more."""

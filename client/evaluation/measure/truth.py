@@ -21,7 +21,7 @@ from streamlod.core.scene.anchors import Scene
 from streamlod.core.synthetic import SyntheticSpec, surface_motion
 from streamlod.core.train.field.convert import field_of
 
-VISIBLE = 0.25  # pixels in one step: the motion precision of H.264 and HEVC
+_VISIBLE = 0.25  # pixels in one step: the motion precision of H.264 and HEVC
 _ANY = 0.01  # pixels
 _MOSTLY, _PARTLY = 0.5, 0.1  # of what an anchor shows
 _SEEN = 0.3  # pixels, over all training pictures
@@ -100,7 +100,7 @@ def shown_motion(
     sums = torch.zeros(len(rows), 3)
     for camera, truly in zip(cameras, filmed or cameras, strict=True):
         motion = torch.from_numpy(surface_motion(spec, index, truly))
-        maps = torch.stack([torch.ones_like(motion), motion > _ANY, motion >= VISIBLE], dim=2).float()
+        maps = torch.stack([torch.ones_like(motion), motion > _ANY, motion >= _VISIBLE], dim=2).float()
         sums += coverage(field, rows, camera, maps)
     shown = np.zeros((len(field), 3))
     shown[rows.numpy()] = sums.double().numpy()

@@ -23,8 +23,8 @@ export function decodeGeometry(chunk, room) {
   let nodes = new Int32Array(3), classes = new Uint8Array(1), length = 1;
   for (let d = 0; d < depth; d++) {
     const context = Math.min(depth - 1 - d, 3) * 4;
-    const room = Math.min(8 * length, count);
-    const children = new Int32Array(3 * room), childClasses = new Uint8Array(room);
+    const most = Math.min(8 * length, count);
+    const children = new Int32Array(3 * most), childClasses = new Uint8Array(most);
     let born = 0;
     for (let i = 0; i < length; i++) {
       let occupancy = 0, prefix = 1;
@@ -36,7 +36,7 @@ export function decodeGeometry(chunk, room) {
       const first = born;
       for (let j = 0; j < 8; j++) {
         if (!((occupancy >> j) & 1)) continue;
-        must(born < room);
+        must(born < most);
         children[3 * born] = 2 * nodes[3 * i] + (j >> 2);
         children[3 * born + 1] = 2 * nodes[3 * i + 1] + ((j >> 1) & 1);
         children[3 * born + 2] = 2 * nodes[3 * i + 2] + (j & 1);

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -81,9 +83,6 @@ def _png(board: Board, paper: tuple[float, float]) -> bytes:
 
 def _with_density(png: bytes) -> bytes:
     """The file with its resolution stated (chunk pHYs), by which printers take its true size."""
-    import struct
-    import zlib
-
     dots = round(_DPI / 0.0254)
     body = b"pHYs" + struct.pack(">IIB", dots, dots, 1)
     after_header = 8 + 25  # signature and IHDR

@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 
 from streamlod.core.train.config import PredictConfig
 
-_STRAIN = 8.0  # doublings of the rate weight from the wanted fill to one bucket above it
+_DOUBLINGS = 8.0  # of the rate weight, from the wanted fill to one bucket above it
 _WANTED_FILL = 0.3  # of the bucket: room for a burst above, something to drain below
 _STRAINED = 2.0  # factor of the rate weight from which quality visibly gives way
 _OVERHEAD = 40  # bytes of a packet that changes nothing
 _FORGET = 0.3  # weight of the latest packet in the bytes an anchor takes
 _FIRST_GUESS = 8.0  # bytes an anchor, before any packet was seen
-_CHANGES = 5  # of anchors that are there already, which take as many bytes as one that is added
-_NEW = 0.1  # share of a packet that anchors may take which are added
+_CHANGES_A_NEW = 5  # changed anchors that take as many bytes as one that is added
+_NEW_SHARE = 0.1  # of a packet, which added anchors may take
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +41,11 @@ class RatePlan:
     @property
     def most_new(self) -> int:
         """Anchors that may be added."""
-        return int(_NEW * self.most_anchors / _CHANGES)
+        return int(_NEW_SHARE * self.most_anchors / _CHANGES_A_NEW)
 
     def most_changes_beside(self, new: int) -> int:
         """Anchors that may change where `new` are added."""
-        return max(self.most_anchors - _CHANGES * new, 0)
+        return max(self.most_anchors - _CHANGES_A_NEW * new, 0)
 
     def applied(self, config: PredictConfig) -> PredictConfig:
         """`config` under this plan: where packets are too large, bits weigh more and only surer anchors are trained."""
@@ -84,8 +84,8 @@ class RateControl:
     def plan(self) -> RatePlan:
         """For the next frame."""
         room = self._capacity - max(self._held - self._drain, 0.0) - _OVERHEAD
-        strain = _STRAIN * (min(self.fill, 1.0) - _WANTED_FILL)
-        return RatePlan(2.0**strain, max(int(room / self._bytes_per_anchor), 0))
+        doublings = _DOUBLINGS * (min(self.fill, 1.0) - _WANTED_FILL)
+        return RatePlan(2.0**doublings, max(int(room / self._bytes_per_anchor), 0))
 
     def sent(self, size_bytes: int, anchors: int) -> None:
         """Learn that the latest predicted packet has `size_bytes` and changed so many `anchors`."""

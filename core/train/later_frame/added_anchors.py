@@ -76,7 +76,10 @@ class AddedAnchors:
 
 
 class _Rounded(torch.autograd.Function):
-    """Values in steps to values rounded to them, the last of them beside nodes [n,3]; few launches, on any device."""
+    """Rounds values in steps, in units of their own again; the last are offsets from nodes [n,3], and become places.
+
+    All of them in one function, for few launches on a GPU.
+    """
 
     @staticmethod
     def forward(ctx: Any, node: Tensor, *parts: Tensor) -> tuple[Tensor, ...]:

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from streamlod.core.train.later_frame.state import KnownPictures, State
+from streamlod.core.train.later_frame.state import State
 from streamlod.core.train.pictures.boxes import around
 from streamlod.core.train.pictures.views import Views
 
@@ -48,7 +48,7 @@ def as_filmed(state: State, views: Views, numbers: list[int]) -> State:
     """`state` with the pictures of the cameras `numbers` as those that the next ones are compared with."""
     references, filmed = state.known.references.clone(), state.known.filmed.clone()
     references[numbers] = filmed[numbers] = views.targets[numbers]
-    return replace(state, known=KnownPictures(references, filmed, state.known.shown))
+    return replace(state, known=replace(state.known, references=references, filmed=filmed))
 
 
 def stagnant(targets: Tensor, before: Tensor, now: Tensor, least_gain: float) -> Tensor:

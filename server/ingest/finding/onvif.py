@@ -51,10 +51,10 @@ def find_network_cameras(
     question = f"urn:uuid:{uuid.uuid4()}"
     found: dict[str, NetworkCamera] = {}
     try:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as place:
-            place.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 1)
-            place.sendto((_PROBE % question).encode(), group)
-            for data, address in _answers(place, seconds):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+            udp.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 1)
+            udp.sendto((_PROBE % question).encode(), group)
+            for data, address in _answers(udp, seconds):
                 name = name_in(data, question)
                 if name is not None and (address in found or len(found) < most):
                     found[address] = NetworkCamera(address, name)
@@ -63,15 +63,15 @@ def find_network_cameras(
     return tuple(sorted(found.values(), key=lambda each: socket.inet_aton(each.address)))
 
 
-def _answers(place: socket.socket, seconds: float) -> Iterator[tuple[bytes, str]]:
+def _answers(udp: socket.socket, seconds: float) -> Iterator[tuple[bytes, str]]:
     end = time.monotonic() + seconds
     for _ in range(_MAX_ANSWERS):
         left = end - time.monotonic()
         if left <= 0:
             return
-        place.settimeout(left)
+        udp.settimeout(left)
         try:
-            data, (address, _) = place.recvfrom(_MAX_ANSWER_BYTES + 1)
+            data, (address, _) = udp.recvfrom(_MAX_ANSWER_BYTES + 1)
         except TimeoutError:
             return
         if len(data) <= _MAX_ANSWER_BYTES:

@@ -20,7 +20,7 @@ from streamlod.core.render.warp.kernels.rules import FOCAL_X, FOCAL_Y, GAIN, Clo
 
 @wp.struct
 class Slopes:
-    """Derivatives of the loss by a Gaussian's mean, unit quaternion's multiple, and scales."""
+    """Derivatives of the loss by a Gaussian's mean, quaternion (of any length) and scales."""
 
     mean: wp.vec3
     quaternion: wp.vec4
