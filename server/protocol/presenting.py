@@ -44,7 +44,7 @@ class Present:
 
     @property
     def shown(self) -> dict[str, Any]:
-        """What followers are told, as fields of an event; empty where nothing is shown any more."""
+        """Fields of the event that tells followers; empty where nothing is shown any more."""
         return {} if self.view is None or self.at is None else {"view": self.view, "at": self.at.to_json()}
 
     def to_json(self) -> dict[str, Any]:

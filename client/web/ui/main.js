@@ -17,12 +17,11 @@ import { followPast } from "./past.js";
 import { backgroundItems, colourOf } from "./background.js";
 import { attachDrop } from "./drop.js";
 import { blurOf, lensItems } from "./lens.js";
-import { Timeline } from "./timeline.js";
+import { MOVING, Timeline } from "./timeline.js";
 import { Together } from "./together.js";
 import { drawHere } from "../view/drawing.js";
 import { Viewer } from "../view/viewer.js";
 
-const MOVING = ["live", "behind", "replay"]; // phases in which the picture may move by itself
 const OF_SLIDERS = new Set(["arrowleft", "arrowright", "arrowup", "arrowdown", "home", "end", "pageup", "pagedown"]);
 const MAX_BLUR_PX = 18; // where nothing was seen
 const OPENING_AFTER_MS = 600; // after the first picture

@@ -1,10 +1,10 @@
 /** What phones need: tools as a sheet from below, a hint about gestures, help without keys, a screen that stays on. */
 
 import { button, element, toast } from "./page.js";
+import { MOVING } from "./timeline.js";
 
 const HINT = "Drag to look around, pinch to come closer, two fingers to move", HINT_MS = 5000;
 const AFTER_WARNING_MS = 6000; // the page says first that it draws in software
-const PLAYING = ["live", "behind", "replay", "preview"];
 
 /** @param {import("../view/viewer.js").Viewer} viewer */
 export function attachPhone(viewer) {
@@ -34,7 +34,7 @@ export function attachPhone(viewer) {
   let asking = false;
   /** The screen stays on while something plays. */
   const stayOn = async () => {
-    const wanted = PLAYING.includes(viewer.status?.phase ?? "") && document.visibilityState === "visible";
+    const wanted = [...MOVING, "preview"].includes(viewer.status?.phase ?? "") && document.visibilityState === "visible";
     if (!wanted) {
       lock?.release();
       lock = null;

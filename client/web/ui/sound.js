@@ -7,6 +7,7 @@
 
 import { LiveSound } from "../view/live-sound.js";
 import { element } from "./page.js";
+import { MOVING } from "./timeline.js";
 
 const STEP_MS = 100; // from one correction to the next
 const JUMP_MS = 150; // further off, it jumps
@@ -17,7 +18,6 @@ const SMOOTH = 0.15; // share of a new picture in the clock: pictures come uneve
 const SEEK_MS = 300; // the clock is this far off what a picture says: it was sought
 const LATE_MS = 400, LATE_PICTURES = 2; // that pictures stay away before sound waits for them
 const SPARSE_MS = 1000; // so far apart, pictures are reached before the next one is due: sound does not wait for that
-const MOVING = ["live", "behind", "replay"]; // phases in which pictures go on by themselves
 const MAX_TRIES = 2; // to load it, after the first
 const HEAD_BYTES = 4096; // both headers of the file
 const LINK_SECONDS = 24 * 3600;

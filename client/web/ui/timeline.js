@@ -13,6 +13,7 @@ const SPEEDS = [0.25, 0.5, 1, 2, 4];
 const SCRUB_MS = 90; // between two seeks while dragging
 const ARROW_SECONDS = 5, PAGE_SECONDS = 30; // by keys on the bar
 const BEFORE_BEGIN_SECONDS = -1e9;
+export const MOVING = ["live", "behind", "replay"]; // phases in which pictures go on by themselves
 const OVER = ["ended", "deleted"]; // phases of streams that will not go on
 
 /** @type {Record<string, number>} */
