@@ -1,9 +1,10 @@
-"""Interleaved rANS and the items it codes, as compiled loops; `oracle` is the slow reference. FORMAT.md section 6.2.
+"""Interleaved rANS and the items it codes, as compiled loops. FORMAT.md section 6.2.
 
 Encoding has two passes: a model pass lists *items* (start << 16 | frequency, in order of decoding), then `rans_encode`
 codes the list backwards. Model passes return the number of items, or one beyond the list's length if it was too short.
 Decoding keeps the lanes' states in `x` and three integers in `ctl`: items read, index of the next word, and 1 once the
-stream was found corrupt. From then on values are meaningless, but no index leaves its array.
+stream was found corrupt. From then on values are meaningless, but no index leaves its array. `tests/codec/oracle.py`
+is the slow reference.
 """
 
 from __future__ import annotations

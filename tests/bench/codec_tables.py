@@ -17,7 +17,6 @@ import numpy as np
 from streamlod.codec.chunks import columns
 from streamlod.codec.chunks.change import Elapsed
 from streamlod.codec.chunks.matrices import base_matrix, shifted_of
-from streamlod.codec.coder import oracle
 from streamlod.codec.coder.change_model import position_errors, steady_motion
 from streamlod.codec.coder.entropy import encode_scales, scale_of
 from streamlod.core.arrays import Float64, Int64
@@ -25,6 +24,7 @@ from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.entropy_model import BINS, ESCAPE, FREQUENCIES, SCALES, SYMBOLS, UNIT_BIN
 from streamlod.core.scene.residual import difference
 from tests.bench.codec_bench import load
+from tests.codec import oracle
 
 _SKIP = 4  # frames of the skips that tables are fitted to, too
 _ROUNDS = 3000
@@ -33,7 +33,7 @@ _PRIOR = 60.0  # symbols of the geometric law in each bin
 
 
 class Counter:
-    """A coder of `codec.coder.oracle` that writes nothing: it counts symbols [BINS,SYMBOLS]."""
+    """A coder of `tests.codec.oracle` that writes nothing: it counts symbols [BINS,SYMBOLS]."""
 
     def __init__(self) -> None:
         self.counts = np.zeros((BINS, SYMBOLS))

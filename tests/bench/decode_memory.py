@@ -21,13 +21,13 @@ from pathlib import Path
 import numpy as np
 
 from streamlod.codec.chunks.plain import encode_plain
-from streamlod.codec.coder import oracle
 from streamlod.codec.decoder import SceneDecoder
 from streamlod.codec.packet.bytes import build, parse
 from streamlod.codec.packet.limits import COMPLEXITY_LEVELS, MAX_NUMBERS_A_BYTE
 from streamlod.codec.packet.packet import PADDING, ChunkKind, make_chunk
 from streamlod.core.errors import BitstreamError
 from streamlod.server.pipeline.warming import warm_codec
+from tests.codec import oracle
 from tests.codec.hostile import densest
 from tests.codec.scenes import make_scene, move
 from tests.vectors.make import read_stream

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from streamlod.codec.chunks.plain import encode_plain
-from streamlod.codec.coder import oracle
 from streamlod.codec.packet.bytes import build, parse
 from streamlod.codec.packet.limits import MAX_NUMBERS_A_BYTE
 from streamlod.codec.packet.packet import PADDING, ChunkKind, make_chunk
+from tests.codec import oracle
 from tests.codec.scenes import grow, make_scene
 from tests.vectors.valid import key, packet
 

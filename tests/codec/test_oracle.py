@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from streamlod.codec.coder import change_model, class_model, column_model, octree_model, oracle, rans, trend
+from streamlod.codec.coder import change_model, class_model, column_model, octree_model, rans, trend
 from streamlod.codec.coder.entropy import encode_items
 from streamlod.core.arrays import Int64
 from streamlod.core.scene.entropy_model import FREQUENCIES, SCALES
+from tests.codec import oracle
 from tests.codec.columns import decode_columns
 
 EXTREME = rans.MAX_VALUE

@@ -11,12 +11,12 @@ from functools import partial
 import numpy as np
 
 from streamlod.codec.chunks.plain import encode_plain
-from streamlod.codec.coder import oracle
 from streamlod.codec.packet.bytes import build, parse
 from streamlod.codec.packet.packet import PADDING, ChunkKind, Packet, make_chunk
 from streamlod.core.scene.anchors import AnchorLevel, Scene
 from streamlod.core.scene.entropy_model import ESCAPE, FREQUENCIES, SCALES
 from streamlod.core.scene.octree import morton_key
+from tests.codec import oracle
 from tests.codec.scenes import grow, move
 from tests.vectors.valid import key, later, packet, small
 

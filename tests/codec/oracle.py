@@ -1,4 +1,4 @@
-"""The entropy coder in plain, slow Python: the reference that `codec.coder.rans` and the models are tested against.
+"""The entropy coder in plain, slow Python: the reference of `codec.coder.rans` and its models, and of other decoders.
 
 Every model below runs in both directions: `Decoder` reads values from words; `Encoder` is given the values and lists
 items. So the two directions cannot differ here, and the compiled code is tested against both.
