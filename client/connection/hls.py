@@ -40,13 +40,12 @@ def is_playlist(source: str) -> bool:
     return urlsplit(source).path.lower().endswith(".m3u8")
 
 
-def hls_packets(address: str, token: str | None = None, *, from_start: bool = False) -> Iterator[bytes]:
-    """The packets of a stream as they come, until it ends.
+def hls_packets(address: str, token: str | None = None) -> Iterator[bytes]:
+    """The packets of a stream as they come, from its newest keyframe until it ends.
 
     Args:
         address: of the playlist, or its path on this machine.
         token: bearer token, sent to the playlist's own host alone.
-        from_start: whether to begin with the oldest keyframe that is there, and not with the newest.
 
     Raises:
         InputError: playlist or segments cannot be fetched or read.
@@ -55,7 +54,7 @@ def hls_packets(address: str, token: str | None = None, *, from_start: bool = Fa
         done, parts_done, newest = -1, set[str](), None
         while True:
             playlist = source.playlist()
-            if done < 0 and not from_start:
+            if done < 0:
                 done = playlist.first + len(playlist.segments) - (1 if playlist.parts else 2)
             for number, segment in enumerate(playlist.segments, playlist.first):
                 if number > done:

@@ -170,11 +170,11 @@ def _shown(scene: Scene, number: int, rows: Int64, begins: Float64, end: float, 
             yield cloud, float(begin), end
 
 
-def read_clip(path: Path, fps: float, up: str | None = None) -> Iterator[GaussianCloud]:
+def read_clip(path: Path, fps: float, up: str | None) -> Iterator[GaussianCloud]:
     """The clip's Gaussians `fps` times a second; all of them each time, those that are not shown with opacity 0.
 
     Args:
-        up: the axis of the file that points up, whatever it says itself.
+        up: the axis of the file that points up, whatever it says itself; None: as it says.
 
     Raises:
         InputError: the file cannot be read, is damaged, too large, or has axes that are not known here.

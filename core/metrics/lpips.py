@@ -84,7 +84,7 @@ class Lpips:
         return total
 
 
-def load_lpips(net: Net = "alex", weights: Path | None = None) -> Lpips:
+def load_lpips(net: Net, weights: Path | None = None) -> Lpips:
     """The network with its weights, from where `find_weights` finds them.
 
     Raises:

@@ -74,7 +74,7 @@ def bin_of(magnitude: float) -> int:
     return int(np.searchsorted(BIN_THRESHOLDS, units, side="right"))
 
 
-def magnitude_bits(highest: int = 64) -> Float32:
+def magnitude_bits(highest: int) -> Float32:
     """[BINS, highest + 1] bits that |v| = 0 .. `highest` costs in each bin, sign included.
 
     Between integers the cost is interpolated linearly: with k = floor(|v|) and f = |v| - k,

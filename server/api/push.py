@@ -27,8 +27,8 @@ def scope_of(stream_id: str, camera: str) -> str:
     return f"publish {stream_id} {camera}"
 
 
-def capture_address(stream_id: str, camera: str, query: str = "") -> str:
-    """The page on which a phone films as one camera, with a signature where one is needed."""
+def capture_address(stream_id: str, camera: str, query: str) -> str:
+    """The page on which a phone films as one camera; `query` is its signature, empty where none is needed."""
     fields = urlencode({"stream": stream_id, "camera": camera})
     return f"/capture?{fields}&{query}" if query else f"/capture?{fields}"
 

@@ -29,7 +29,7 @@ def draft_scene(
     cameras: Sequence[Camera],
     config: TrainConfig,
     fps: float,
-    device: str = "auto",
+    device: str,
     rig: tuple[Camera, ...] | None = None,
     depth_bounds: tuple[float, float] | None = None,
     dataset_points: PointCloud | None = None,

@@ -101,7 +101,7 @@ function joined(first, second) {
 export const rowBytes = (features, slots) => 87 + 2 * features + 6 * slots;
 
 /** The rows of `first`, then those of `second`. @type {(first: Level, second: Level) => Level} */
-export function appendRows({ count, ...first }, second) {
+function appendRows({ count, ...first }, second) {
   const columns = Object.entries(first).map(([name, column]) => [name, joined(column, second[/** @type {keyof typeof first} */ (name)])]);
   return { count: count + second.count, ...Object.fromEntries(columns) };
 }

@@ -9,7 +9,7 @@ import { attachMenu, button, element, menuItem, toast } from "./page.js";
 const REVOKE_MS = 10_000;
 
 /** @param {Viewer} viewer @param {boolean} moment - with the frame that is shown, where it opens paused @returns {URL} */
-export function linkTo(viewer, moment) {
+function linkTo(viewer, moment) {
   const link = new URL(location.href), { searchParams } = link;
   for (const name of ["token", "t", "epoch"]) searchParams.delete(name);
   searchParams.set("camera", toText(viewer.pose));
@@ -22,7 +22,7 @@ export function linkTo(viewer, moment) {
 }
 
 /** Markup that shows this view in another page. @param {Viewer} viewer */
-export function embedCode(viewer) {
+function embedCode(viewer) {
   const link = linkTo(viewer, false);
   link.searchParams.set("embed", "1");
   const address = link.href.replaceAll("&", "&amp;").replaceAll('"', "%22");

@@ -23,7 +23,7 @@ export function createThin(canvas) {
 }
 
 /** Shows the newest picture. The background that a viewer chose has no effect: the server draws. */
-export class Screen extends Surface {
+class Screen extends Surface {
   /** @param {HTMLCanvasElement} canvas @param {ThinLink} link */
   constructor(canvas, link) {
     super(canvas);

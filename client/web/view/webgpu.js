@@ -47,7 +47,7 @@ export async function createGpuRenderer(adapter, frame) {
   }
 }
 
-export class GpuRenderer extends Surface {
+class GpuRenderer extends Surface {
   /** @param {HTMLCanvasElement} frame @param {HTMLCanvasElement} canvas @param {GPUCanvasContext} context @param {GPUDevice} device @param {Programs} programs */
   constructor(frame, canvas, context, device, programs) {
     super(canvas);

@@ -70,7 +70,7 @@ def adjust(
     sizes: Sequence[tuple[int, int]],
     root: int,
     *,
-    lenses_known: Bool | None = None,
+    lenses_known: Bool,
     uneven: UnevenTimes | None = None,
 ) -> Adjusted:
     """The scene that explains `seen` best, beginning at `scene`.
@@ -78,7 +78,7 @@ def adjust(
     Args:
         sizes: (width, height) of each camera's pictures.
         root: camera that keeps its pose and clock.
-        lenses_known: [C] cameras whose lenses stay; none by default.
+        lenses_known: [C] cameras whose lenses stay.
         uneven: what is known of the times of the pictures in `seen`; exact ones by default.
     """
     count = len(scene.cameras)
@@ -87,8 +87,7 @@ def adjust(
     weights = uneven.weights(seen)
     free = np.ones(len(start), bool)
     by_camera = free[: count * _PER_CAMERA].reshape(count, _PER_CAMERA)
-    if lenses_known is not None:
-        by_camera[lenses_known, :9] = False
+    by_camera[lenses_known, :9] = False
     by_camera[root, 9 : _CLOCK + 1] = False
     columns = np.flatnonzero(free)
     mean, deviation = _priors(sizes)

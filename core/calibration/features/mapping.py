@@ -46,7 +46,7 @@ def mapped(
     sizes: Sequence[tuple[int, int]],
     features: Sequence[Sequence[Features]],
     known: Mapping[str, Float64],
-    on_step: Callable[[], object] = lambda: None,
+    on_step: Callable[[], object],
 ) -> tuple[tuple[MappedCamera, ...], Float64]:
     """The cameras, and [P,3] points that they see, in axes and units of no meaning.
 

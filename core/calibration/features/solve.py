@@ -75,7 +75,7 @@ def calibrate_by_features(
     footage: Sequence[WalkFootage],
     features: Sequence[Sequence[Features]],
     known: Mapping[str, Float64],
-    on_step: Callable[[], object] = lambda: None,
+    on_step: Callable[[], object],
 ) -> FeatureCalibration:
     """The rig whose cameras saw `features`, a list of instants of each, z up as the cameras are held.
 

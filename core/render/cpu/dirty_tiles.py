@@ -1,6 +1,6 @@
 """Dirty tiles: after the first frame, render only what moving Gaussians can change.
 
-Once a frame and camera, `touched_tiles` finds where the moving Gaussians reach, with room to move;
+Once a frame and camera, `near_depths` finds where the moving Gaussians reach, with room to move;
 `core.render.cpu.backdrop` lists the still ones there. Every step then draws the tiles that moving Gaussians reach now,
 over a full picture made once; gradients are those of the full rendering. numpy and numba only.
 """

@@ -81,7 +81,7 @@ def neutral(cameras: int, device: str | torch.device = "cpu") -> Exposure:
     return Exposure(torch.ones(cameras, 3, device=device), torch.zeros(cameras, 3, device=device))
 
 
-def exposure_of(cameras: Sequence[CameraExposure], device: str | torch.device = "cpu") -> Exposure:
+def exposure_of(cameras: Sequence[CameraExposure], device: str | torch.device) -> Exposure:
     """The exposures of `cameras` as players are told them."""
     gain, offset = (torch.tensor([getattr(c, name) for c in cameras], device=device) for name in ("gain", "offset"))
     return Exposure(gain, offset)
