@@ -24,7 +24,7 @@ from streamlod.core.errors import InputError
 from streamlod.core.synthetic.render import depth_bounds, ground_truth, render_image
 from streamlod.core.synthetic.spec import SyntheticSpec, cameras, exposures
 
-_H264 = {"crf": "16", "x264-params": "chroma-qp-offset=-6", "preset": "veryfast", "threads": "1"}  # 35 to 36 dB
+_H264 = {"crf": "16", "x264-params": "chroma-qp-offset=-6", "preset": "veryfast", "threads": "1"}  # 34 dB and more
 _SPEC = Path("ground_truth") / "spec.json"
 _LATER = {"kind", "speed"}  # absent from clips of earlier versions
 _TRUTH_FRAMES = 4  # instants whose ground truth is written: the first, the last and two between
@@ -153,7 +153,7 @@ def _write_video(spec: SyntheticSpec, camera: int, path: Path) -> None:
         stream = container.add_stream("libx264", rate=Fraction(spec.fps).limit_denominator(1001))
         # Colours of full width and height: with halved ones (4:2:0) small pictures miss the truth by 29 to 30 dB
         stream.width, stream.height, stream.pix_fmt = spec.width, spec.height, "yuv444p"
-        stream.options = _H264
+        stream.options = {**_H264}
         for index in range(spec.frames):
             picture = av.VideoFrame.from_ndarray(render_image(spec, index, camera), format="rgb24")
             container.mux(stream.encode(picture))
