@@ -8,6 +8,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from streamlod.server.auth.links import MAX_LINK_SECONDS
+from streamlod.server.ingest.cameras.address import CAMERA_NAME
 
 _STREAM_EXAMPLE: dict[str, Any] = {
     "id": "main", "name": "main", "incarnation": "9f86d081884c7d65", "source": "cameras", "loop": False,
@@ -132,7 +133,7 @@ class NewLink(BaseModel):
 
     path: str = Field(
         default="",
-        pattern=r"^(bitstream|sound|hls/index\.m3u8|(gops|packets)/[0-9]{1,10}/[0-9]{1,10}|ingest/[A-Za-z0-9][A-Za-z0-9_.-]{0,63})?$",
+        pattern=rf"^(bitstream|sound|hls/index\.m3u8|(gops|packets)/[0-9]{{1,10}}/[0-9]{{1,10}}|ingest/{CAMERA_NAME})?$",
         description="download below the stream, all of them without; or `ingest/CAMERA` (right `publish`)",
     )
     seconds: int = Field(default=3600, ge=1, le=MAX_LINK_SECONDS, description="how long the address is good")

@@ -18,7 +18,7 @@ from streamlod.core.errors import BackendUnavailable, InputError
 from streamlod.core.files import write_bytes, write_text
 from streamlod.core.masking import masked
 from streamlod.server.cli.calibrate import board_of
-from streamlod.server.ingest.cameras.address import Address, parse_address
+from streamlod.server.ingest.cameras.address import CAMERA_NAME, Address, parse_address
 from streamlod.server.ingest.cameras.sound_source import choose_sound
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from streamlod.server.settings import Settings
 
 Say = Callable[[str], None]
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _FPS = 30.0  # of phones, and of cameras that tell no rate
 _WALK = "walk"  # folder beside the rig's file, which the board walk is recorded into and calibrates
 _KEPT = "evenings"  # folder beside it of what is streamed
@@ -157,7 +156,7 @@ def _named(arguments: Sequence[str]) -> list[NamedSource]:
     found: list[NamedSource] = []
     for argument in arguments:
         name, equals, source = argument.partition("=")
-        if not (equals and _NAME.fullmatch(name)):
+        if not (equals and re.fullmatch(CAMERA_NAME, name)):
             name, source = f"cam{len(found) + 1}", argument
         parsed = parse_address(source)
         if parsed.scheme == "push":

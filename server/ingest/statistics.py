@@ -10,12 +10,19 @@ from streamlod.server.ingest.sync.synchroniser import CameraState, Counts
 
 @dataclass(frozen=True, slots=True)
 class CameraStatistics:
-    """How one camera does: state, what its time rests on, drift of its clock, counters, connections, last fault.
+    """How one camera does.
 
-    `refused` says why its newest picture could not be used for training, and is empty when it could. `shift` is how far
-    what it sees has moved in its picture since it is read, in pixels at a width of 1000, None where that is not known;
-    a camera that was `knocked` is not trained on. `silent_ns` is how long no picture has come, None before
-    the first and after it has gone.
+    Attributes:
+        clock_source: evidence of its capture times; None before the first picture.
+        error_ns: how far off they may be.
+        drift_ppm: how much faster its clock runs than the wall's, in millionths.
+        counts: of its pictures.
+        connections: how often it was connected.
+        fault: why it does not deliver; empty if it does.
+        refused: why its newest picture could not be used for training; empty when it could.
+        shift: how far what it sees has moved since it is read, in pixels at a width of 1000; None where not known.
+        knocked: whether it was; then it is not trained on.
+        silent_ns: how long no picture has come; None before the first, and after the camera has gone.
     """
 
     state: CameraState

@@ -11,7 +11,7 @@ from streamlod.core.errors import InputError
 from streamlod.core.options import option, options_of
 from streamlod.server.pipeline.job import JOB_FIELDS, JOB_OPTIONS, MAX_PATH, SOURCES, TrainJob
 
-_ID = "^[a-z0-9][a-z0-9_-]{0,63}$"
+STREAM_ID = "^[a-z0-9][a-z0-9_-]{0,63}$"
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,11 +22,11 @@ class StreamSpec:
         InputError: a bad id, no single source, or a value out of bounds.
     """
 
-    id: str = option("main", "Name in addresses: 1 to 64 lower-case letters, digits, - or _.", pattern=_ID)
+    id: str = option("main", "Name in addresses: 1 to 64 lower-case letters, digits, - or _.", pattern=STREAM_ID)
     job: TrainJob | None = None
     play: Path | None = option(
         None,
-        "Stream a recorded file in real time (by hand also .ply, .spz).",
+        "Stream a recorded file in real time (on the command line also .ply, .spz, .glb, .4dgs).",
         metavar="FILE.slod",
         max_length=MAX_PATH,
     )
@@ -35,7 +35,7 @@ class StreamSpec:
     recorded: bool = True  # in the state folder; not what `serve --play` plays, as that is a recording already
 
     def __post_init__(self) -> None:
-        if not re.fullmatch(_ID, self.id):
+        if not re.fullmatch(STREAM_ID, self.id):
             raise InputError(f"stream {self.id!r:.80}", "an id is 1 to 64 lower-case letters, digits, - or _")
         for each in _OWN_OPTIONS:
             each.check(getattr(self, each.name))

@@ -29,6 +29,7 @@ from streamlod.codec.packet.packet import PacketKind
 from streamlod.codec.sound.beside import sound_beside
 from streamlod.codec.sound.packets import PacketWriter
 from streamlod.core.errors import BitstreamError, InputError, StorageError
+from streamlod.server.pipeline.spec import STREAM_ID
 from streamlod.server.protocol.packets import Position, StreamPacket
 from streamlod.server.settings import Retention
 from streamlod.server.stream.sealing import Seal
@@ -45,7 +46,6 @@ _LOG = logging.getLogger(__name__)
 _T = TypeVar("_T")
 _SEGMENT = re.compile(r"(\d{6,10})-(\d{10})\.slod")
 _OWN_NAMES = re.compile(r"stream\.(json|new|damaged)|\d{6,10}-\d{10}\.slod\.opus")
-_STREAM = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ class Store:
         """Streams of which something is kept, by id; what else lies among them is reported."""
         found = {}
         for path in sorted((self.folder / "streams").iterdir()):
-            if not (path.is_dir() and _STREAM.fullmatch(path.name)):
+            if not (path.is_dir() and re.fullmatch(STREAM_ID, path.name)):
                 _LOG.warning("%s is no stream's folder and is left alone", path)
             elif (stored := read_stored(path)) is not None:
                 found[path.name] = stored

@@ -12,6 +12,7 @@ from streamlod.core.errors import InputError
 LISTEN_SECONDS = 5.0  # then the port is opened again, so that a reader can be stopped
 OPEN_SECONDS = 10.0
 SILENCE_SECONDS = 8.0  # a connection without data for so long counts as dead
+CAMERA_NAME = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}"  # pattern of the name of a rig's camera
 _MAX_LENGTH = 2048
 _LIVE = {"fflags": "nobuffer", "probesize": "200000", "analyzeduration": "500000"}
 _DEVICES = {  # what FFmpeg opens by a name of this machine; ALSA's may name files otherwise

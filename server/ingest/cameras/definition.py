@@ -31,7 +31,7 @@ from streamlod.core.data.pictures import MAX_SIDE
 from streamlod.core.data.sources import Videos
 from streamlod.core.errors import InputError
 from streamlod.core.frames import PointCloud
-from streamlod.server.ingest.cameras.address import Address, parse_address
+from streamlod.server.ingest.cameras.address import CAMERA_NAME, Address, parse_address
 from streamlod.server.ingest.cameras.sound_source import SoundSource, choose_sound
 
 _LOG = logging.getLogger(__name__)
@@ -47,7 +47,7 @@ class _Strict(BaseModel):
 
 
 class _CameraEntry(_Strict):
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")
+    name: str = Field(pattern=f"^{CAMERA_NAME}$")
     source: str
     width: int | None = Field(default=None, ge=1, le=MAX_SIDE)
     height: int | None = Field(default=None, ge=1, le=MAX_SIDE)
