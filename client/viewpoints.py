@@ -15,14 +15,15 @@ import numpy as np
 from streamlod.core.arrays import Float64
 from streamlod.core.camera import Camera, look_at, pinhole
 from streamlod.core.camera.view import COUNT, camera_of_view, view_in
+from streamlod.core.data.files import read_bytes
 from streamlod.core.errors import InputError
 from streamlod.core.scene.anchors import SceneHeader
 
 CameraPath = Callable[[int], Camera]  # picture number to camera
-_MAX_POSE_FILE_BYTES = 16_000_000
+_MAX_POSE_FILE_BYTES = 16 << 20
 _MAX_SIDE = 8192
 _ORBIT_PICTURES = 90  # pictures of one turn if `pictures` is not given
-_MAX_FILE_BYTES, _MAX_KEYS, _MAX_SECONDS = 1_000_000, 64, 3600.0
+_MAX_FILE_BYTES, _MAX_KEYS, _MAX_SECONDS = 1 << 20, 64, 3600.0
 _FORMAT = 1
 
 
@@ -100,12 +101,9 @@ def read_poses(path: Path, header: SceneHeader) -> CameraPath:
 
 def _read_json(path: Path, most: int) -> Any:
     """The JSON value in a file of at most `most` bytes; InputError where there is none."""
+    data = read_bytes(path, most)
     try:
-        if path.stat().st_size > most:
-            raise InputError(path, f"is larger than {most // 1_000_000} MB")
-        return json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})") from error
+        return json.loads(data)
     except (ValueError, RecursionError) as error:
         raise InputError(path, f"is not JSON ({error})") from error
 

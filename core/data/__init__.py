@@ -2,7 +2,7 @@
 
     n3dv         camNN.mp4 + poses_bounds.npy                 video_folder.py
     meetroom     cam_N.mp4 + poses_bounds.npy or sparse/0     video_folder.py
-    colmap       sparse/0 + images, one instant or many       colmap.py (colmap_model.py parses)
+    colmap       sparse/0 + images, one instant or many       colmap/reader.py (colmap/model.py parses)
     transforms   transforms.json + pictures or videos         transforms.py
     caliscope    camera_array.toml + videos + timestamps      caliscope.py
 
