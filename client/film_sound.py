@@ -20,7 +20,7 @@ from streamlod.codec.sound.opus import LAYOUTS, SAMPLE_RATE, audio_frame
 from streamlod.core.arrays import Int16
 from streamlod.core.data.video.sound import filmed_sound
 from streamlod.core.errors import InputError, RequestRefused
-from streamlod.core.files import put_in_place, temporary_beside
+from streamlod.core.files import temporary_beside, written_whole
 
 _log = logging.getLogger(__name__)
 _ADDRESS = re.compile(r"(?P<scheme>wss?)(?P<place>://.+)/v1/streams/(?P<stream>[^/?#]+)/live")
@@ -64,13 +64,13 @@ def add_sound(film: Path, sound: Path, filmed_ns: Sequence[int | None], fps: flo
         InputError: the sound cannot be read, or the film cannot be written; it stays as it was.
     """
     facts = look_at_sound(sound)
-    temporary = temporary_beside(film)
     blocks = chain.from_iterable(
         _heard(sound, None if begin is None else begin - facts.begin_ns, count, facts.channels)
         for begin, count in _runs(filmed_ns, fps)
     )
     try:
         with (
+            written_whole(film) as temporary,
             closing(av.open(str(film))) as silent,
             closing(av.open(str(temporary), "w", format="mp4", options={"movflags": "faststart"})) as container,
         ):
@@ -88,11 +88,8 @@ def add_sound(film: Path, sound: Path, filmed_ns: Sequence[int | None], fps: flo
             for block in blocks:
                 at = _encode(container, track, block, at)
             container.mux(track.encode(None))
-        put_in_place(temporary, film)
     except (av.FFmpegError, OSError) as error:
         raise InputError(film, f"cannot be written with sound ({error.strerror})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _encode(container: av.container.OutputContainer, track: av.audio.stream.AudioStream, block: Int16, at: int) -> int:

@@ -24,7 +24,7 @@ from streamlod.client.rest_answers import (
 )
 from streamlod.codec.sound.beside import MEDIA_TYPE
 from streamlod.core.errors import InputError, RequestRefused
-from streamlod.core.files import put_in_place, temporary_beside
+from streamlod.core.files import written_whole
 
 _SECONDS = 30.0
 _MAX_ITEMS = 200  # of a page
@@ -133,20 +133,21 @@ class ServerClient:
 
     def _save(self, place: str, kind: str, params: dict[str, Any], path: Path, most: int | None = None) -> int:
         """Write what is at `place` to a file, whole or not at all; returns its length in bytes, at most `most`."""
-        written, size = temporary_beside(path), 0
+        size = 0
         try:
-            with self._open("GET", place, kind, params) as answer, written.open("wb") as file:
+            with (
+                written_whole(path) as temporary,
+                self._open("GET", place, kind, params) as answer,
+                temporary.open("wb") as file,
+            ):
                 for chunk in answer.iter_bytes():
                     size += file.write(chunk)
                     if most is not None and size > most:
                         raise InputError(self._http.base_url, f"sends more than {most} bytes of sound")
-            put_in_place(written, path)
         except httpx.HTTPError as error:
             raise InputError(self._http.base_url, f"the download broke off ({error})") from error
         except OSError as error:
             raise InputError(path, f"cannot be written ({error.strerror})") from error
-        finally:
-            written.unlink(missing_ok=True)
         return size
 
     def erase(self, name: str, begin: datetime | None = None, end: datetime | None = None) -> None:

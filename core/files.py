@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import os
 import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from streamlod.core.errors import InputError
@@ -41,6 +43,21 @@ def put_in_place(temporary: Path, path: Path) -> None:
     temporary.replace(path)
 
 
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """A name to write a file under, which becomes `path` when the context ends, and goes if that is by an exception.
+
+    Raises:
+        OSError: as `put_in_place`.
+    """
+    temporary = temporary_beside(path)
+    try:
+        yield temporary
+        put_in_place(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
 def write_bytes(path: Path, data: bytes, *, private: bool = False) -> None:
     """Write a whole file, in a folder that is there.
 
@@ -50,16 +67,13 @@ def write_bytes(path: Path, data: bytes, *, private: bool = False) -> None:
     Raises:
         InputError: it cannot be written; what was there before stays.
     """
-    temporary = temporary_beside(path)
     try:
-        if private:
-            temporary.touch(mode=0o600)
-        temporary.write_bytes(data)
-        put_in_place(temporary, path)
+        with written_whole(path) as temporary:
+            if private:
+                temporary.touch(mode=0o600)
+            temporary.write_bytes(data)
     except OSError as error:
         raise InputError(path, f"cannot be written ({error.strerror})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str, *, private: bool = False) -> None:

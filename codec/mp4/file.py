@@ -19,7 +19,7 @@ from streamlod.codec.packet.packet import PacketKind
 from streamlod.codec.sound.beside import find_sound, sound_beside
 from streamlod.codec.sound.packets import OpusPacket, OpusSettings, read_packets, write_packets
 from streamlod.core.errors import BitstreamError, InputError
-from streamlod.core.files import put_in_place, temporary_beside, write_bytes, write_text
+from streamlod.core.files import write_bytes, write_text, written_whole
 
 INDEX, BEGINNING = "index.m3u8", "init.mp4"  # of a folder or address with HLS
 
@@ -101,18 +101,14 @@ def write_mp4(slod: Path, out: Path) -> tuple[int, bool]:
         BitstreamError: it is damaged.
     """
     settings, groups = _opened(slod)
-    temporary = temporary_beside(out)
     try:
-        with temporary.open("wb") as file:
+        with written_whole(out) as temporary, temporary.open("wb") as file:
             file.write(beginning(settings))
             for group in groups:
                 for piece in group.pieces(slod):
                     file.write(_bytes_of(piece))
-        put_in_place(temporary, out)
     except (OSError, ValueError) as error:
         raise InputError(out, f"cannot be written ({error})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
     return len(groups), settings is not None
 
 

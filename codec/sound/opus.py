@@ -14,7 +14,7 @@ import numpy as np
 from streamlod.codec.sound.beside import BEGIN_COMMENT
 from streamlod.core.arrays import Int16
 from streamlod.core.errors import InputError
-from streamlod.core.files import put_in_place, temporary_beside
+from streamlod.core.files import written_whole
 
 SAMPLE_RATE = 48_000  # the only rate at which Opus counts (RFC 7845, section 4)
 BITS_A_SECOND = {1: 64_000, 2: 96_000}
@@ -32,9 +32,11 @@ def write_sound(path: Path, blocks: Iterable[Int16], channels: int, begin_ns: in
     Raises:
         InputError: it cannot be written; what was there before stays.
     """
-    temporary = temporary_beside(path)
     try:
-        with closing(av.open(str(temporary), "w", format="ogg", options={"fflags": "+bitexact"})) as container:
+        with (
+            written_whole(path) as temporary,
+            closing(av.open(str(temporary), "w", format="ogg", options={"fflags": "+bitexact"})) as container,
+        ):
             stream = container.add_stream("libopus", rate=SAMPLE_RATE)
             stream.layout, stream.format = LAYOUTS[channels], "s16"
             stream.bit_rate = BITS_A_SECOND[channels]
@@ -45,11 +47,8 @@ def write_sound(path: Path, blocks: Iterable[Int16], channels: int, begin_ns: in
                 container.mux(stream.encode(audio_frame(block, at)))
                 at += len(block)
             container.mux(stream.encode(None))
-        put_in_place(temporary, path)
     except (av.FFmpegError, OSError) as error:
         raise InputError(path, f"cannot be written ({error.strerror})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def audio_frame(block: Int16, at: int) -> av.AudioFrame:

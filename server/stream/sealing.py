@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
 from streamlod.core.errors import InputError
-from streamlod.core.files import put_in_place, temporary_beside
+from streamlod.core.files import write_bytes
 from streamlod.core.masking import mask_text, with_texts
-from streamlod.server.stream.stored_stream import PRIVATE_FILE
 
 _SEALED = "sealed"
 
@@ -29,7 +27,7 @@ class Seal:
 
         try:
             if not path.exists() or path.stat().st_size == 0:  # an earlier version left that on a full disk
-                _write_key(path, Fernet.generate_key())
+                write_bytes(path, Fernet.generate_key(), private=True)
             self._cipher = Fernet(path.read_bytes().strip())
         except (OSError, ValueError) as error:
             raise InputError(path, f"is no key that passwords can be stored with ({error})") from error
@@ -58,14 +56,3 @@ class Seal:
             except InvalidToken as error:
                 raise InputError("a stored password", "was stored with another key; create the stream again") from error
         return [self.open(item) for item in value] if isinstance(value, list) else value
-
-
-def _write_key(path: Path, key: bytes) -> None:
-    """Write a key file for its owner alone, whole or not at all."""
-    new = temporary_beside(path)
-    try:
-        with os.fdopen(os.open(new, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE_FILE), "wb") as file:
-            file.write(key)
-        put_in_place(new, path)
-    finally:
-        new.unlink(missing_ok=True)
