@@ -167,7 +167,7 @@ class _Take:
     async def handle(self, event: Event) -> None:
         """Draw a new scene; report other events."""
         if isinstance(event, NewScene):
-            if not self._is_awaited(event):
+            if not self._kept_back(event):
                 await self.draw(event)
             self._caught_up = None if self._caught_up is None else time.monotonic()
         elif isinstance(event, Welcome):
@@ -189,8 +189,8 @@ class _Take:
         self._state, self._detail = state, detail
         self._tell(f"stream is {state}{detail and ': '}{detail}")
 
-    def _is_awaited(self, event: NewScene) -> bool:
-        """Whether more levels of a first state are to come soon."""
+    def _kept_back(self, event: NewScene) -> bool:
+        """Keep a first state of which more levels are to come soon; whether it was kept."""
         count = len(event.scene.levels)
         now = time.monotonic()
         if self.count > 0 or event.levels >= min(count, self._levels or count) or now > self._begin_by:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from urllib.parse import parse_qs, quote, urlsplit, urlunsplit
+from urllib.parse import parse_qs, quote, urlunsplit
 
 from streamlod.core.errors import InputError
+from streamlod.core.web_address import address_parts
 
 
 def live_address(url: str) -> str:
@@ -14,9 +15,9 @@ def live_address(url: str) -> str:
     Where the page's address names no stream, it is `main`.
 
     Raises:
-        InputError: neither.
+        InputError: neither, or no address.
     """
-    parts = urlsplit(url)
+    parts = address_parts("the stream", url)
     if parts.scheme in {"ws", "wss"}:
         return url
     if parts.scheme not in {"http", "https"} and Path(url).is_file():

@@ -20,6 +20,7 @@ from streamlod.codec.packet.info import PacketInfo, peek
 from streamlod.codec.sound.beside import sound_beside
 from streamlod.codec.sound.packets import OpusPacket, OpusSettings, write_packets
 from streamlod.core.errors import BitstreamError, InputError
+from streamlod.core.web_address import address_parts
 
 MAX_PLAYLIST_BYTES, MAX_BEGINNING_BYTES, MAX_SEGMENT_BYTES = 16 << 20, 1 << 20, 1 << 30
 _SECONDS = 30.0  # of waiting for an answer
@@ -36,8 +37,8 @@ class _Opened:
 
 
 def is_playlist(source: str) -> bool:
-    """Whether the name or address is one of a playlist."""
-    return urlsplit(source).path.lower().endswith(".m3u8")
+    """Whether the name or address is one of a playlist; InputError for an address that none can have."""
+    return address_parts("the source", source).path.lower().endswith(".m3u8")
 
 
 def hls_packets(address: str, token: str | None = None) -> Iterator[bytes]:

@@ -7,9 +7,9 @@ that is listed as a whole.
 from __future__ import annotations
 
 import ipaddress
-from urllib.parse import urlsplit
 
 from streamlod.core.errors import InputError
+from streamlod.core.web_address import address_parts
 from streamlod.server.settings import Settings
 
 _Address = ipaddress.IPv4Address | ipaddress.IPv6Address
@@ -52,7 +52,7 @@ def is_reachable(host: str, networks: tuple[str, ...], *, public: bool = True) -
 
 
 def check_places(settings: Settings) -> None:
-    """Refuse settings that send the server itself to a metadata service.
+    """Refuse settings that send the server itself to a metadata service, or to what is no address.
 
     Raises:
         InputError: they do.
@@ -61,7 +61,7 @@ def check_places(settings: Settings) -> None:
     places |= {"edge.origin": settings.edge.origin} if settings.edge is not None else {}
     places |= {f"webhooks.{number}": each.url for number, each in enumerate(settings.webhooks)}
     for name, place in places.items():
-        host = urlsplit(place).hostname if place and "://" in place else None
+        host = address_parts(name, place).hostname if place and "://" in place else None
         if host and is_metadata(host) and not is_reachable(host, settings.networks):
             fault = "is a cloud's metadata service, which hands out the machine's credentials; name another address"
             raise InputError(name, f"{host} {fault}")

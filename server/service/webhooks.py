@@ -126,10 +126,10 @@ async def _deliver(client: httpx.AsyncClient, hook: _Hook, event: ServerEvent, n
         "webhook-timestamp": str(seconds),
         "webhook-signature": signature(hook.key, event.id, seconds, body),
     }
-    # to the address that was checked, whatever the name leads to by then
-    url = httpx.URL(hook.webhook.url).copy_with(host=address)
-    request = client.build_request("POST", url, content=body, headers=headers, extensions={"sni_hostname": host})
     try:
+        # to the address that was checked, whatever the name leads to by then
+        url = httpx.URL(hook.webhook.url).copy_with(host=address)
+        request = client.build_request("POST", url, content=body, headers=headers, extensions={"sni_hostname": host})
         answer = await client.send(request, stream=True)  # redirections are not followed, bodies not read
         await answer.aclose()
     except (httpx.HTTPError, httpx.InvalidURL) as error:

@@ -313,3 +313,9 @@ def test_who_gives_a_file_is_told_how_it_is_watched() -> None:
 def test_other_addresses_are_refused(given: str) -> None:
     with pytest.raises(InputError, match="is no stream"):
         live_address(given)
+
+
+@pytest.mark.parametrize("given", ["http://[x/", "ws://a:b/v1/streams/main/live", "http://a:99999", "http://a..b/"])
+def test_what_is_no_address_is_refused_in_one_sentence(given: str) -> None:
+    with pytest.raises(InputError, match="is no address"):
+        live_address(given)

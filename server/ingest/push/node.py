@@ -18,6 +18,7 @@ from websockets.typing import Subprotocol
 
 from streamlod.core.close_codes import REFUSALS
 from streamlod.core.errors import InputError, StreamlodError
+from streamlod.core.web_address import address_parts
 from streamlod.server.ingest.push.capture import CaptureCamera, Taken
 from streamlod.server.ingest.push.message import MAX_MESSAGE_BYTES, PUSH_SUBPROTOCOL, PushMessage, pack_push
 
@@ -48,8 +49,9 @@ def push(
         ca: certificates (PEM) to trust instead of the system's, for ``wss`` addresses.
 
     Raises:
-        StreamlodError: a source or `ca` cannot be read, or the server refuses the node for good.
+        StreamlodError: `url` is no address, a source or `ca` cannot be read, or the server refuses the node for good.
     """
+    address_parts("the stream", url)
     trust = None if ca is None else _trusting(ca)
     start_ns = time.time_ns() + round(_START_SECONDS * 1e9)
     nodes = [_Node(url, camera, token, trust) for camera in cameras]

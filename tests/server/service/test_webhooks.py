@@ -15,6 +15,7 @@ import pytest
 
 from streamlod.core.errors import InputError
 from streamlod.server.auth.secret_file import read_secret
+from streamlod.server.http.networks import check_places
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.service.app import create_app
 from streamlod.server.service.webhooks import signature
@@ -92,6 +93,23 @@ def test_nothing_is_sent_into_networks_that_are_not_listed(
         while "`networks`" not in caplog.text:
             assert time.monotonic() < limit
             time.sleep(0.01)
+    assert received == []
+
+
+@pytest.mark.parametrize("place", ["a:99999", "a:b", "[a]", "a..b"])
+def test_settings_that_hold_no_address_are_refused(tmp_path: Path, place: str) -> None:
+    hook = Webhook(url=f"http://{place}/hook", key=tmp_path)
+    for fields in ({"webhooks": (hook,)}, {"trace_endpoint": f"http://{place}"}, {"jwks": f"https://{place}/set"}):
+        with pytest.raises(InputError, match="is no address"):
+            check_places(Settings.model_validate(fields))
+
+
+def test_an_address_with_a_control_character_does_not_end_delivery(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("streamlod.server.service.webhooks.RETRY_SECONDS", ())
+    with receiver(200) as (url, received), running(settings_for(tmp_path, f"{url}\x01"), _STREAM):
+        wait(lambda: caplog.text.count("non-printable") >= 2)  # of `starting`, and then of `failed`
     assert received == []
 
 

@@ -88,6 +88,12 @@ def test_pictures_come_at_their_pace_with_their_times(folder: Path) -> None:
     assert [number_of(np.asarray(image, np.uint8)) for image in decoded] == list(range(FPS))
 
 
+def test_an_address_that_is_none_is_refused_before_any_camera_is_opened() -> None:
+    cameras = find_cameras(["a=v4l2:///dev/video99"], 30)
+    with pytest.raises(InputError, match="is no address"):
+        push("ws://127.0.0.1:99999/v1/streams/main/ingest", cameras)
+
+
 def test_a_webcam_that_is_not_there_is_named() -> None:
     (camera,) = find_cameras(["a=v4l2:///dev/video99"], 30)
     with pytest.raises(InputError, match="/dev/video99"):
