@@ -17,7 +17,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 from streamlod.core.errors import InputError
 
 TOKEN_VARIABLE = "STREAMLOD_TOKEN"  # of the environment, which holds the token of whoever runs a command
-MAX_CAMERAS = 256
+MAX_CAMERAS = 255  # of a scene header (codec/FORMAT.md), and so of a rig and of a training
 PRESETS = ("live", "balanced", "quality", "paper")
 _KINDS: dict[Any, str] = {
     **{int: "a whole number", float: "a number", bool: "true or false", str: "text"},

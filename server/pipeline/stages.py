@@ -28,6 +28,7 @@ from streamlod.core.errors import InputError, ModelError, StreamlodError, Traini
 from streamlod.core.files import write_text
 from streamlod.core.frames import FrameSet
 from streamlod.core.initialise import first_points
+from streamlod.core.options import MAX_CAMERAS
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.metadata import Metadata
 from streamlod.core.scene.residual import Residual
@@ -46,7 +47,6 @@ from streamlod.server.pipeline.sound import AUTO, choose_sound, write_beside
 from streamlod.server.pipeline.trace import Span, timed, timing
 
 _LOG = logging.getLogger(__name__)
-MAX_CAMERAS = 255  # of a scene header (codec/FORMAT.md)
 _PREFETCHED = 2  # frames decoded ahead
 _PREVIEWS_AT = (0.05, 0.15, 0.3, 0.6)  # fractions of the first frame's run
 _POINTS_SHARE = 0.3  # of the time to the first frame

@@ -31,12 +31,12 @@ from streamlod.core.data.pictures import MAX_SIDE
 from streamlod.core.data.sources import Videos
 from streamlod.core.errors import InputError
 from streamlod.core.frames import PointCloud
+from streamlod.core.options import MAX_CAMERAS
 from streamlod.server.ingest.cameras.address import CAMERA_NAME, Address, parse_address
 from streamlod.server.ingest.cameras.sound_source import SoundSource, choose_sound
 
 _LOG = logging.getLogger(__name__)
 
-MAX_CAMERAS = 255  # of a scene header (codec/FORMAT.md)
 _MAX_BYTES = 1 << 20
 _Row3 = tuple[float, float, float]
 _Row4 = tuple[float, float, float, float]

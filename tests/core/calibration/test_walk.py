@@ -28,3 +28,11 @@ def test_a_folder_with_one_video_is_told_that_a_rig_has_more(tmp_path: Path) -> 
     write_video(tmp_path / "a.mp4", [np.zeros((48, 64, 3), np.uint8)] * 3)
     with pytest.raises(InputError, match="holds one camera; a rig has 2 to"):
         open_walk(tmp_path)
+
+
+def test_no_more_cameras_are_calibrated_than_a_rig_may_have(tmp_path: Path) -> None:
+    write_video(tmp_path / "cam0.mp4", [np.zeros((48, 64, 3), np.uint8)] * 3)
+    for number in range(1, 256):
+        (tmp_path / f"cam{number}.mp4").hardlink_to(tmp_path / "cam0.mp4")
+    with pytest.raises(InputError, match="holds 256 cameras; a rig has 2 to 255"):
+        open_walk(tmp_path)
