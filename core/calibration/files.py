@@ -18,13 +18,13 @@ import numpy as np
 from streamlod.core.arrays import Float64
 from streamlod.core.calibration.walk import WalkFootage
 from streamlod.core.camera import Camera
+from streamlod.core.camera.camera import COEFFICIENTS
 from streamlod.core.data import caliscope, transforms
 from streamlod.core.data.lens import opencv_matrix
 from streamlod.core.errors import InputError
 from streamlod.core.files import write_text
 
 RIG = "rig.json"
-_COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
 
 
 class CalibratedRig(Protocol):
@@ -82,7 +82,7 @@ def transforms_value(calibration: CalibratedRig, names: Sequence[str]) -> dict[s
                 "file_path": name,
                 "w": camera.width, "h": camera.height,
                 "fl_x": matrix[0, 0], "fl_y": matrix[1, 1], "cx": matrix[0, 2], "cy": matrix[1, 2],
-                **dict(zip(_COEFFICIENTS, camera.distortion.tolist(), strict=True)),
+                **dict(zip(COEFFICIENTS, camera.distortion.tolist(), strict=True)),
                 "time_offset": float(offset),
                 "transform_matrix": back.tolist(),
             }

@@ -13,6 +13,7 @@ import numpy as np
 from streamlod.core.arrays import Float64, check_array
 from streamlod.core.errors import InputError
 
+COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")  # of distortion, as OpenCV orders them
 _ROTATION_TOLERANCE = 1e-3
 _NO_DISTORTION = np.zeros(5)
 _MAX_NUMBER = 1e12  # larger numbers come from damage, and their products overflow

@@ -19,6 +19,7 @@ import numpy as np
 
 from streamlod.core.arrays import Float64
 from streamlod.core.camera import Camera
+from streamlod.core.camera.camera import COEFFICIENTS
 from streamlod.core.data.colmap.reader import fitted
 from streamlod.core.data.dataset import RawRecording, Source
 from streamlod.core.data.files import blaming, number, numbers, read_json
@@ -36,7 +37,6 @@ _MAX_OFFSET_S = 86_400
 _log = logging.getLogger(__name__)
 _MODELS = ("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 _LENSES = ("is_fisheye", "latlong", "equirectangular", "ftheta_p0")  # of instant-ngp, where they are true or given
-_COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
 # of fisheye, rational, thin prism and tilted models
 _UNSUPPORTED = ("k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
 
@@ -154,7 +154,7 @@ def _camera(name: str, settings: dict[str, Any], size: tuple[int, int], picture:
         pose,
         round(width),
         round(height),
-        np.array([number(settings.get(key, 0), key, file) for key in _COEFFICIENTS], np.float64),
+        np.array([number(settings.get(key, 0), key, file) for key in COEFFICIENTS], np.float64),
     )
     return fitted(camera, size, picture)
 

@@ -23,6 +23,7 @@ import numpy as np
 
 from streamlod.core.arrays import Float64
 from streamlod.core.camera import Camera
+from streamlod.core.camera.camera import COEFFICIENTS
 from streamlod.core.data.colmap.model import find_model, points_of, read_model
 from streamlod.core.data.colmap.reader import fitted
 from streamlod.core.data.dataset import RawRecording
@@ -34,7 +35,6 @@ from streamlod.core.errors import InputError
 
 PATTERNS = {"n3dv": re.compile(r"cam\d+", re.IGNORECASE), "meetroom": re.compile(r"cam_\d+", re.IGNORECASE)}
 _MAX_NUMBER = 1e12
-COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
 
 
 def video_files(path: Path, layout: str) -> list[Path]:
