@@ -59,7 +59,7 @@ class StreamCollector(Collector):
         grant: the figures of streams that it allows; those of the whole server only if it covers all streams.
     """
 
-    def __init__(self, registry: Registry, grant: Grant = EVERYTHING) -> None:
+    def __init__(self, registry: Registry, grant: Grant) -> None:
         self._registry, self._grant = registry, grant
 
     def collect(self) -> Iterable[Metric]:

@@ -86,7 +86,7 @@ class ThinSession:
         limits: Limits,
         renderer: PictureRenderer,
         *,
-        edges: tuple[str, ...] = (),
+        edges: tuple[str, ...],
     ) -> None:
         self._changed = asyncio.Event()
         self._decoding = _DecodingTransport(transport, self._changed, limits.decoder)

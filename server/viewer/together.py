@@ -22,7 +22,7 @@ class Companion:
         relays: whether it is another server, which is refused what it may not, but stays connected.
     """
 
-    def __init__(self, together: Together, session: str, notify: Callable[[], None], relays: bool = False) -> None:
+    def __init__(self, together: Together, session: str, notify: Callable[[], None], relays: bool) -> None:
         self._together, self._session, self._notify, self._relays = together, session, notify, relays
         self._may_present = False
         self._follows = False

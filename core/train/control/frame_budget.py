@@ -7,7 +7,6 @@ from earlier frames: a higher cost is taken over at once, a lower one gradually.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 
 _FORGET = 0.2  # weight of the latest frame in a cost that falls
@@ -34,7 +33,7 @@ class FrameBudget:
         clock: seconds, from any origin.
     """
 
-    def __init__(self, milliseconds: float | None, clock: Callable[[], float] = time.perf_counter) -> None:
+    def __init__(self, milliseconds: float | None, clock: Callable[[], float]) -> None:
         self._seconds, self._clock = math.inf if milliseconds is None else milliseconds / 1000, clock
         self._costs: dict[str, float] = {}
         self._end = clock() + self._seconds

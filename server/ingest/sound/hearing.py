@@ -42,8 +42,8 @@ class Hearing:
         source: str,
         give: Callable[[SoundPiece], None],
         timeline: Timeline,
-        wait: Callable[[int], None] = lambda _: None,
-        offset_ns: int = 0,
+        wait: Callable[[int], None],
+        offset_ns: int,
     ) -> None:
         self.source = source
         self._give, self._timeline, self._wait, self._offset_ns = give, timeline, wait, offset_ns
