@@ -44,7 +44,7 @@ class ModelConfig:
         reading(0.0, "first points fill cells of every level"),
     )
     max_anchors: int = setting(
-        100_000, "most anchors that there may be", reading(40_000, "no limit is given; this one bounds memory")
+        128_000, "most anchors that there may be", reading(40_000, "no limit is given; this one bounds memory")
     )
     selection: LevelSelection = setting(
         "all",

@@ -9,10 +9,7 @@ from streamlod.core.train.paper.preset import paper
 
 PRESETS = {
     "live": TrainConfig(
-        ModelConfig(max_anchors=64_000),
-        KeyframeConfig(steps=1280),
-        PredictConfig(epochs=8, minimum_steps=56),
-        USUAL,
+        keyframe=KeyframeConfig(steps=1280), predict=PredictConfig(epochs=8, minimum_steps=56), parts=USUAL
     ),
     "balanced": TrainConfig(parts=USUAL),
     "quality": TrainConfig(

@@ -18,7 +18,7 @@ from streamlod.core.train.later_frame.training import FrameTraining, Hooks
 from streamlod.core.train.setting import left_out, setting
 
 _ANCHOR_BIT = 5 / 7  # of the price of a residual's bit: an anchor serves for longer than a frame
-_ALWAYS_ROOM = 0.25  # share of the most anchors that a scene may always grow to: it may have begun empty
+_ALWAYS_ROOM = 0.125  # share of the most anchors that a scene may always grow to: it may have begun empty
 _WHY = "growth by gradients, see `gradient_growth`"
 
 
