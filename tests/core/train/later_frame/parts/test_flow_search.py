@@ -90,20 +90,17 @@ def test_nothing_is_drawn_where_flow_says_nothing() -> None:
 @pytest.mark.long
 @pytest.mark.timeout(400)
 def test_what_moves_is_shown_better_by_search() -> None:
-    """Search saves error on what moves and bytes; a clip may show only one of them, so their product is compared.
-
-    Pictures of this size show little of it, and one clip may show nothing: it is the mean of three.
-    """
-    assert np.mean([_cost_of_search(seed) for seed in (1, 2, 3)]) < 0.95  # 0.90; single ones 0.75 to 1.05
+    """Search saves error on what moves and bytes; a clip may show only one of them, so their product is compared."""
+    assert np.mean([_cost_of_search(seed) for seed in (1, 2)]) < 0.85  # 0.73, of single clips 0.60 and 0.86
 
 
 def _cost_of_search(seed: int) -> float:
     """Error on what moves times bytes with search, as a share of that without."""
-    spec = SyntheticSpec(cameras=4, frames=4, width=128, height=72, seed=seed)
+    spec = SyntheticSpec(cameras=4, frames=4, width=192, height=108, seed=seed)
     clip = open_synthetic(spec)
     first, *later = clip.frames()
     config = preset("live")
-    config = replace(config, keyframe=replace(config.keyframe, steps=120))
+    config = replace(config, keyframe=replace(config.keyframe, steps=200))
     scene = Trainer(clip.cameras, config, clip.fps, "cpu").keyframe(first, true_points(spec)).scene
     moving = MovingPixels(clip.cameras, spec)
     masks = [moving.masks(frame.index, frame.images) for frame in later]
