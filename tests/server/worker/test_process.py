@@ -19,6 +19,8 @@ import numpy as np
 import pytest
 
 from streamlod.codec.container import SlodWriter
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.encoder import encode_keyframe
 from streamlod.core.errors import InputError
 from streamlod.core.frames import FrameSet
 from streamlod.server.pipeline.job import TrainJob
@@ -29,6 +31,7 @@ from streamlod.server.worker.camera_pictures import CameraPictures
 from streamlod.server.worker.cluster.room import Shortage
 from streamlod.server.worker.process import Resume, Sender, Tag, _told, play, receive_resume, send_resume
 from streamlod.server.worker.supervisor import Ending, Supervisor
+from tests.codec.scenes import make_scene
 from tests.core.data.writers import rig
 from tests.server.conftest import Clip, make_clip, running
 
@@ -243,6 +246,41 @@ def test_a_worker_elsewhere_is_watched_by_what_it_tells(entry: Callable[..., Non
     asyncio.run(asyncio.wait_for(Supervisor(spec, watched, 1000, owner, entry=entry).run(), 60))
     assert set(owner.endings) == {ending}
     assert (owner.tags.count(Tag.PLACED) == len(owner.endings)) is (entry is not find_no_room)
+
+
+def send_rubbish(_: StreamSpec, pipe: Connection, *__: object) -> None:
+    """Entry of a process that sends a keyframe, and another one that is damaged."""
+    receive_resume(pipe)
+    sender, keyframe = Sender(pipe), encode_keyframe(make_scene((5, 10)), time_ns=0, profile=0)
+    sender.send(Tag.PACKET, keyframe)
+    sender.send(Tag.PACKET, keyframe[:-20] + bytes(20))
+    time.sleep(60)
+
+
+class Decoding(Reports):
+    """Decodes what it hears, as a stream does."""
+
+    async def on_message(self, tag: Tag, body: bytes) -> None:
+        await super().on_message(tag, body)
+        if tag is Tag.PACKET:
+            SceneDecoder().push(body)
+
+
+@pytest.mark.long
+def test_a_worker_that_sends_rubbish_is_replaced_again_and_again() -> None:
+    async def run() -> list[Ending]:
+        owner, watched = Decoding(), WorkerSettings(attempts=1, first_delay_seconds=0.01)
+        spec = StreamSpec(job=TrainJob(data=Path("none")))
+        running = asyncio.create_task(Supervisor(spec, watched, 10**6, owner, entry=send_rubbish).run())
+        while len(owner.endings) < 2:  # each sends a keyframe first: no two fail in a row
+            await asyncio.sleep(0.01)
+        running.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await running
+        return owner.endings
+
+    endings = asyncio.run(asyncio.wait_for(run(), 60))
+    assert all("unusable" in ending.text and not ending.fatal for ending in endings)
 
 
 def beat_for_ever(_: StreamSpec, pipe: Connection, *__: object) -> None:
