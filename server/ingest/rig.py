@@ -206,10 +206,14 @@ class Rig:
             yield instant
 
     def note_delivery(self, instant: Instant) -> int:
-        """Count an instant that is given to training now; returns its latency in nanoseconds."""
+        """Count an instant that is given to training now; returns its latency in nanoseconds.
+
+        It is that of its oldest picture: the instant's own time is a place on the grid, up to half a period away.
+        """
+        taken_ns = min((one.capture_ns for one in instant.pictures if one is not None), default=instant.capture_ns)
         with self._change:
             self._delivered += 1
-            self._latency_ns = max(0, self._timeline.now_ns() - instant.capture_ns)  # a sender's clock may be ahead
+            self._latency_ns = max(0, self._timeline.now_ns() - taken_ns)  # a sender's clock may be ahead
             return self._latency_ns
 
     def note_stale(self) -> None:

@@ -48,7 +48,7 @@ class Statistics:
         delivered: instants handed to training.
         dropped_stale: instants that training was too slow for.
         dropped_incomplete: instants with fewer cameras than the policy asks for.
-        latency_ns: from capture to delivery, of the newest instant delivered.
+        latency_ns: from capture to delivery, of the oldest picture in the newest instant delivered.
         clock_steps: times that the cameras' common clock was stepped.
         cameras: by name.
         sound: why nothing is heard, in a sentence; empty where there is sound; None where none is wanted.

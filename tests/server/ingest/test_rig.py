@@ -1,0 +1,30 @@
+"""What a rig counts of the instants that it gives to training."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from streamlod.server.ingest.cameras.definition import read_definition
+from streamlod.server.ingest.rig import Rig
+from streamlod.server.ingest.sync.clock import ClockSource
+from streamlod.server.ingest.sync.picture import Picture
+from streamlod.server.ingest.sync.synchroniser import Instant
+from tests.server.ingest.push.stage import rig
+
+
+def _picture(camera: str, capture_ns: int) -> Picture:
+    return Picture(camera, capture_ns, ClockSource.STATED, 0, 0, (8, 8), lambda: np.zeros((8, 8, 3), np.uint8))
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_latency_counts_from_the_oldest_picture_not_from_the_place_on_the_grid(missing: bool) -> None:
+    """A place on the grid may lie half a period after the pictures: a picture sent at once had no latency."""
+    taken_ns = time.time_ns() - 20_000_000
+    pictures = (_picture("phone1", taken_ns), None if missing else _picture("phone2", taken_ns + 10_000_000))
+    watched = Rig(read_definition(rig((64, 48), 2)), ("phone1", "phone2"))
+    latency_ns = watched.note_delivery(Instant(0, taken_ns + 3_600_000_000_000, pictures))
+    assert 20_000_000 <= latency_ns < 10_000_000_000
+    assert watched.statistics().latency_ns == latency_ns
