@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from streamlod.core.train import Progress
+    from streamlod.server.pipeline.encoding import EncodedFrame
     from streamlod.server.pipeline.job import TrainJob
     from streamlod.server.pipeline.spec import StreamSpec
-    from streamlod.server.pipeline.stages import EncodedFrame
     from streamlod.server.settings import Settings
 
 _BENCHES = "tests.bench"
@@ -79,7 +79,8 @@ def check_cameras(job: TrainJob) -> None:
 def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None, sound: str) -> str:
     """Train a clip into a `.slod` file, with figures and sound beside it."""
     from streamlod.codec.sound.beside import sound_beside
-    from streamlod.server.pipeline.stages import open_job, train_clip
+    from streamlod.server.pipeline.clip import train_clip
+    from streamlod.server.pipeline.opened import open_job
 
     opened = open_job(job)
     encoded: list[EncodedFrame] = []

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from streamlod.codec.snapshots import check_slod_output
+from streamlod.server.pipeline.clip import train_clip
+from streamlod.server.pipeline.encoding import EncodedFrame
 from streamlod.server.pipeline.job import TrainJob
+from streamlod.server.pipeline.opened import open_job
 from streamlod.server.pipeline.sound import AUTO
-from streamlod.server.pipeline.stages import EncodedFrame, open_job, train_clip
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,8 +27,11 @@ from streamlod.core.frames import FrameSet
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import TrainedFrame, Trainer
+from streamlod.server.pipeline.clip import train_clip
+from streamlod.server.pipeline.encoding import EncodedFrame
 from streamlod.server.pipeline.job import TrainJob
-from streamlod.server.pipeline.stages import EncodedFrame, open_job, train_clip, train_stream
+from streamlod.server.pipeline.opened import open_job
+from streamlod.server.pipeline.stages import train_stream
 from streamlod.server.pipeline.trace import Span
 from streamlod.server.worker.process import Resume, Sender, Tag, show_again, train
 from tests.clicks import write_sounding
@@ -161,7 +164,7 @@ def test_a_failing_encoder_ends_the_stream_and_the_training(job: TrainJob, monke
             raise ModelError("the encoder broke")
         return encode_residual(before, *arguments, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("streamlod.server.pipeline.stages.encode_residual", encode)
+    monkeypatch.setattr("streamlod.server.pipeline.encoding.encode_residual", encode)
     frames = train_stream(open_job(job))
     assert [next(frames).version, next(frames).version] == [0, 1]
     with pytest.raises(ModelError, match="the encoder broke"):
