@@ -23,15 +23,15 @@ from streamlod.core.options import TOKEN_VARIABLE
 from streamlod.core.progress_bar import Bar, progress_bar
 from streamlod.core.runtime import cache_folder
 from streamlod.core.version import streamlod_version
-from streamlod.server.pipeline.trace import chrome_trace
+from streamlod.server.pipeline.stages.trace import chrome_trace
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from streamlod.core.train import Progress
-    from streamlod.server.pipeline.encoding import EncodedFrame
     from streamlod.server.pipeline.job import TrainJob
     from streamlod.server.pipeline.spec import StreamSpec
+    from streamlod.server.pipeline.stages.encoding import EncodedFrame
     from streamlod.server.settings import Settings
 
 _BENCHES = "tests.bench"
@@ -80,7 +80,7 @@ def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None, so
     """Train a clip into a `.slod` file, with figures and sound beside it."""
     from streamlod.codec.sound.beside import sound_beside
     from streamlod.server.pipeline.clip import train_clip
-    from streamlod.server.pipeline.opened import open_job
+    from streamlod.server.pipeline.stages.opened import open_job
 
     opened = open_job(job)
     encoded: list[EncodedFrame] = []

@@ -1,1 +1,1 @@
-"""From pictures to packets: job, stages, trace."""
+"""From pictures to packets: what a job is, and how it is done."""

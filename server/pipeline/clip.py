@@ -16,11 +16,11 @@ from streamlod.core.data import Dataset
 from streamlod.core.errors import InputError, StreamlodError, TrainingCutShort
 from streamlod.core.files import write_text
 from streamlod.core.train import Progress
-from streamlod.server.pipeline.encoding import EncodedFrame
-from streamlod.server.pipeline.opened import OpenJob
 from streamlod.server.pipeline.sound import AUTO, choose_sound, write_beside
-from streamlod.server.pipeline.stages import train_stream
-from streamlod.server.pipeline.trace import Span
+from streamlod.server.pipeline.stages.encoding import EncodedFrame
+from streamlod.server.pipeline.stages.opened import OpenJob
+from streamlod.server.pipeline.stages.stream import train_stream
+from streamlod.server.pipeline.stages.trace import Span
 
 
 def train_clip(

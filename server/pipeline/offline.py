@@ -9,10 +9,10 @@ from pathlib import Path
 
 from streamlod.codec.snapshots import check_slod_output
 from streamlod.server.pipeline.clip import train_clip
-from streamlod.server.pipeline.encoding import EncodedFrame
 from streamlod.server.pipeline.job import TrainJob
-from streamlod.server.pipeline.opened import open_job
 from streamlod.server.pipeline.sound import AUTO
+from streamlod.server.pipeline.stages.encoding import EncodedFrame
+from streamlod.server.pipeline.stages.opened import open_job
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,8 +32,8 @@ from streamlod.server.worker.camera_pictures import CameraPictures
 
 if TYPE_CHECKING:
     from streamlod.core.scene.anchors import Scene
-    from streamlod.server.pipeline.encoding import EncodedFrame
-    from streamlod.server.pipeline.opened import OpenJob
+    from streamlod.server.pipeline.stages.encoding import EncodedFrame
+    from streamlod.server.pipeline.stages.opened import OpenJob
 
 _LOG = logging.getLogger(__name__)
 HEARTBEAT_SECONDS = 1.0
@@ -171,7 +171,7 @@ def _load(job: TrainJob) -> None:
 def _import_training() -> None:
     if sys.platform == "linux":  # elsewhere the niceness would apply to the whole process and could not be taken back
         os.nice(_LOADING_NICENESS)
-    importlib.import_module("streamlod.server.pipeline.stages")
+    importlib.import_module("streamlod.server.pipeline.stages.stream")
 
 
 def train(
@@ -191,8 +191,8 @@ def train(
     if job.frames is not None and start >= job.frames:
         return
     from streamlod.codec.mp4.sound import SoundPiece, pack_piece
-    from streamlod.server.pipeline.opened import open_job
-    from streamlod.server.pipeline.stages import train_stream
+    from streamlod.server.pipeline.stages.opened import open_job
+    from streamlod.server.pipeline.stages.stream import train_stream
 
     def give_sound(piece: SoundPiece) -> None:
         with suppress(ConnectionError):  # the server has gone, which ends this process elsewhere

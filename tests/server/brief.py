@@ -24,5 +24,5 @@ def brief_training(steps: int = 30) -> Iterator[None]:
         )
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("streamlod.server.pipeline.training.preset", brief)
+        patch.setattr("streamlod.server.pipeline.stages.training.preset", brief)
         yield

@@ -34,9 +34,9 @@ from streamlod.server.ingest.statistics import CameraStatistics, Statistics
 from streamlod.server.ingest.sync.clock import ClockSource
 from streamlod.server.ingest.sync.synchroniser import CameraState, Counts
 from streamlod.server.pipeline.job import TrainJob
-from streamlod.server.pipeline.opened import open_job
 from streamlod.server.pipeline.spec import StreamSpec
-from streamlod.server.pipeline.stages import train_stream
+from streamlod.server.pipeline.stages.opened import open_job
+from streamlod.server.pipeline.stages.stream import train_stream
 from streamlod.server.service.ingest_metrics import ingest_families
 from streamlod.server.settings import Settings, load_settings
 from streamlod.server.stream.worker_stream import WorkerStream
@@ -187,7 +187,7 @@ def test_a_failing_encoder_ends_training_that_waits_for_cameras(
             time.sleep(0.05)
         raise ModelError("the encoder broke")
 
-    monkeypatch.setattr("streamlod.server.pipeline.encoding.encode_keyframe", broken)
+    monkeypatch.setattr("streamlod.server.pipeline.stages.encoding.encode_keyframe", broken)
     with brief_training(), pytest.raises(ModelError, match="the encoder broke"):
         next(train_stream(opened))
     assert "training" not in {thread.name for thread in threading.enumerate()}

@@ -21,8 +21,8 @@ from streamlod.server.ingest import knocks
 from streamlod.server.ingest.knocks import Knocks
 from streamlod.server.ingest.watch import Watch
 from streamlod.server.pipeline.job import TrainJob
-from streamlod.server.pipeline.opened import open_job
-from streamlod.server.pipeline.stages import train_stream
+from streamlod.server.pipeline.stages.opened import open_job
+from streamlod.server.pipeline.stages.stream import train_stream
 from tests.core.calibration.checks import room
 from tests.core.data.writers import write_video
 from tests.server.brief import brief_training

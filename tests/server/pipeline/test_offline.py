@@ -12,7 +12,7 @@ from streamlod.core.errors import InputError
 from streamlod.core.synthetic import SyntheticSpec
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.offline import train_recording
-from streamlod.server.pipeline.opened import open_job
+from streamlod.server.pipeline.stages.opened import open_job
 from tests.server.brief import brief_training
 
 SPEC = SyntheticSpec(cameras=3, frames=2, width=64, height=36)

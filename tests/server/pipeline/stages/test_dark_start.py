@@ -16,10 +16,10 @@ from streamlod.core.arrays import UInt8
 from streamlod.core.frames import FrameSet
 from streamlod.core.render.splatter import Splatter
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
-from streamlod.server.pipeline.dark_start import contrast, is_worth_anew
 from streamlod.server.pipeline.job import TrainJob
-from streamlod.server.pipeline.opened import open_job
-from streamlod.server.pipeline.stages import train_stream
+from streamlod.server.pipeline.stages.dark_start import contrast, is_worth_anew
+from streamlod.server.pipeline.stages.opened import open_job
+from streamlod.server.pipeline.stages.stream import train_stream
 from tests.core.data.writers import write_colmap_binary, write_picture
 from tests.server.brief import brief_training
 

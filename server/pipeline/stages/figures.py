@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from streamlod.core.train import TrainedFrame
-from streamlod.server.pipeline.trace import Span
+from streamlod.server.pipeline.stages.trace import Span
 
 
 def spans_of(trained: TrainedFrame) -> tuple[Span, ...]:

@@ -14,7 +14,7 @@ from streamlod.core.metrics import psnr
 from streamlod.core.render.splatter import Splatter
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import preset
-from streamlod.server.pipeline.draft import draft_scene
+from streamlod.server.pipeline.stages.draft import draft_scene
 
 SPEC = SyntheticSpec(kind="room", cameras=4, frames=1, width=160, height=90)
 

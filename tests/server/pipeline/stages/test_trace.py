@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 
-from streamlod.server.pipeline.trace import Span, chrome_trace, timed, timing
+from streamlod.server.pipeline.stages.trace import Span, chrome_trace, timed, timing
 
 
 def test_events_have_a_row_a_lane_and_microseconds_from_the_first() -> None:

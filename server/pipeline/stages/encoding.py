@@ -11,7 +11,7 @@ from streamlod.codec.refresh import keyframe_bytes
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.metadata import Metadata
 from streamlod.core.scene.residual import Residual
-from streamlod.server.pipeline.trace import Span, timing
+from streamlod.server.pipeline.stages.trace import Span, timing
 
 
 @dataclass(frozen=True, slots=True, eq=False)

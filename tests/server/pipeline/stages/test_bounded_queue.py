@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from streamlod.server.pipeline.bounded_queue import Outlet, Unwanted, made_by
+from streamlod.server.pipeline.stages.bounded_queue import Outlet, Unwanted, made_by
 
 
 def test_items_come_in_order_and_no_more_than_the_depth_wait() -> None:

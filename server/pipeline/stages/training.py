@@ -12,14 +12,14 @@ from streamlod.core.frames import FrameSet
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.train import Progress, Trainer, preset
 from streamlod.core.train.presets.settings import with_settings
-from streamlod.server.pipeline.bounded_queue import Outlet
-from streamlod.server.pipeline.dark_start import contrast, contrast_of_scene, is_dark, is_worth_anew
-from streamlod.server.pipeline.encoding import KeyframeSize, TrainedState
-from streamlod.server.pipeline.figures import report_of, spans_of
-from streamlod.server.pipeline.first_frame import FirstFrame
-from streamlod.server.pipeline.opened import OpenJob
 from streamlod.server.pipeline.rehearsal import rehearse
-from streamlod.server.pipeline.trace import timing
+from streamlod.server.pipeline.stages.bounded_queue import Outlet
+from streamlod.server.pipeline.stages.dark_start import contrast, contrast_of_scene, is_dark, is_worth_anew
+from streamlod.server.pipeline.stages.encoding import KeyframeSize, TrainedState
+from streamlod.server.pipeline.stages.figures import report_of, spans_of
+from streamlod.server.pipeline.stages.first_frame import FirstFrame
+from streamlod.server.pipeline.stages.opened import OpenJob
+from streamlod.server.pipeline.stages.trace import timing
 
 _LOG = logging.getLogger(__name__)
 

@@ -20,7 +20,7 @@ from streamlod.server.ingest.live import LiveDataset, open_live
 from streamlod.server.ingest.statistics import Statistics
 from streamlod.server.pipeline.checks import synthetic_spec
 from streamlod.server.pipeline.job import TrainJob
-from streamlod.server.pipeline.trace import Span, timed
+from streamlod.server.pipeline.stages.trace import Span, timed
 
 _PREFETCHED = 2  # frames decoded ahead
 

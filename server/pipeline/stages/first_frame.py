@@ -11,12 +11,12 @@ from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.core.initialise import first_points
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.train import Progress, TrainConfig, Trainer
-from streamlod.server.pipeline.bounded_queue import Outlet
-from streamlod.server.pipeline.draft import draft_scene
-from streamlod.server.pipeline.encoding import TrainedState
-from streamlod.server.pipeline.figures import report_of, spans_of
-from streamlod.server.pipeline.opened import OpenJob
-from streamlod.server.pipeline.trace import timing
+from streamlod.server.pipeline.stages.bounded_queue import Outlet
+from streamlod.server.pipeline.stages.draft import draft_scene
+from streamlod.server.pipeline.stages.encoding import TrainedState
+from streamlod.server.pipeline.stages.figures import report_of, spans_of
+from streamlod.server.pipeline.stages.opened import OpenJob
+from streamlod.server.pipeline.stages.trace import timing
 
 _LOG = logging.getLogger(__name__)
 _PREVIEWS_AT = (0.05, 0.15, 0.3, 0.6)  # fractions of the run
@@ -99,7 +99,7 @@ class FirstFrame:
             return None
 
     def _points(self, frame: FrameSet) -> PointCloud:
-        """What training begins with."""
+        """Points that training begins with."""
         job, dataset = self._opened.job, self._opened.dataset
         return first_points(
             frame,

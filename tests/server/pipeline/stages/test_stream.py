@@ -5,62 +5,34 @@ from __future__ import annotations
 import json
 import multiprocessing
 import threading
-from collections.abc import Iterator
-from contextlib import ExitStack
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from streamlod.codec.container import SlodReader
 from streamlod.codec.decoder import SceneDecoder
 from streamlod.codec.encoder import encode_residual
 from streamlod.codec.packet.info import peek
 from streamlod.codec.packet.packet import PacketKind
-from streamlod.codec.sound.opus import SAMPLE_RATE
 from streamlod.core.camera.space import Similarity
-from streamlod.core.data.dataset import FPS_OF_PICTURES
-from streamlod.core.errors import InputError, ModelError, TrainingCutShort
+from streamlod.core.errors import InputError, ModelError
 from streamlod.core.frames import FrameSet
 from streamlod.core.scene.anchors import Scene
-from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import TrainedFrame, Trainer
 from streamlod.server.pipeline.clip import train_clip
-from streamlod.server.pipeline.encoding import EncodedFrame
 from streamlod.server.pipeline.job import TrainJob
-from streamlod.server.pipeline.opened import open_job
-from streamlod.server.pipeline.stages import train_stream
-from streamlod.server.pipeline.trace import Span
+from streamlod.server.pipeline.stages.encoding import EncodedFrame
+from streamlod.server.pipeline.stages.opened import open_job
+from streamlod.server.pipeline.stages.stream import train_stream
+from streamlod.server.pipeline.stages.trace import Span
 from streamlod.server.worker.process import Resume, Sender, Tag, show_again, train
-from tests.clicks import write_sounding
 from tests.core.data import writers
-from tests.core.data.writers import write_colmap_binary, write_picture
-from tests.core.true_points import true_points
-from tests.opus import read_sound
 from tests.server.brief import brief_training
-from tests.small_disk import files_up_to
+from tests.server.pipeline.jobs import JOB, SPEC
 
-SPEC = SyntheticSpec(cameras=5, frames=4, width=32, height=18, seed=2)
-JOB = TrainJob(synthetic=asdict(SPEC), test=("cam00",), preset="live")  # with points by a sweep, which takes seconds
-
-
-@pytest.fixture(autouse=True, scope="module")
-def short_runs() -> Iterator[None]:
-    with brief_training():
-        yield
-
-
-@pytest.fixture(scope="module")
-def job(tmp_path_factory: pytest.TempPathFactory) -> TrainJob:
-    """`JOB` with points from a file."""
-    path, points = tmp_path_factory.mktemp("points") / "points.npz", true_points(SPEC)
-    np.savez(path, positions=points.positions, colours=points.colours)
-    return replace(JOB, points=str(path))
-
-
-FACTS = {"title": "Dance, scene 2", "licence": "CC-BY-4.0"}
+pytestmark = pytest.mark.usefixtures("short_runs")
 
 
 def decoded(frames: list[EncodedFrame], decoder: SceneDecoder | None = None) -> Scene:
@@ -71,14 +43,6 @@ def decoded(frames: list[EncodedFrame], decoder: SceneDecoder | None = None) -> 
             decoder.push(packet)
     assert decoder.scene is not None
     return decoder.scene
-
-
-@pytest.fixture(scope="module")
-def trained(job: TrainJob, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[EncodedFrame]]:
-    """A folder with the clip as a file, and its frames as they were handed on."""
-    folder, seen = tmp_path_factory.mktemp("trained"), list[EncodedFrame]()
-    train_clip(open_job(replace(job, **FACTS)), folder / "scene.slod", seen.append)
-    return folder, seen
 
 
 def test_frames_are_announced_where_they_are_read_ahead_of_training() -> None:
@@ -94,30 +58,6 @@ def test_frames_are_announced_where_they_are_read_ahead_of_training() -> None:
     assert two.wait(30)  # though nobody has asked for the second one
     assert [frame.index for frame, _ in frames] == [1, 2, 3]
     assert seen == [(index, "prefetch") for index in range(4)]
-
-
-def test_a_clip_becomes_a_file_that_plays(trained: tuple[Path, list[EncodedFrame]]) -> None:
-    folder, seen = trained
-    assert [frame.version for frame in seen] == [0, 1, 2, 3]
-    assert sorted(path.name for path in folder.iterdir()) == ["scene.slod", "scene.slod.json"]
-    decoder = SceneDecoder()
-    with SlodReader(folder / "scene.slod") as reader:
-        for packet in reader.packets():
-            decoder.push(packet)
-    assert decoder.scene is not None
-    assert decoder.scene.version == 3
-    told = decoder.scene.metadata
-    assert {"title": told.title, "licence": told.licence} == FACTS
-    assert told.exposures is not None
-    assert len(told.exposures) == 5
-    assert [camera.name for camera in decoder.scene.header.cameras] == [f"cam{n:02d}" for n in range(5)]
-    figures = json.loads((folder / "scene.slod.json").read_text())
-    first, *later = [frame.report["total_seconds"] for frame in seen]
-    assert figures["trained_cameras"] == ["cam01", "cam02", "cam03", "cam04"]
-    assert figures["first_frame_seconds"] == first > 0
-    assert figures["train_seconds"] == pytest.approx(sum(later) / 3)
-    assert min(later) > 0
-    assert set(figures["per_frame"][1]["seconds"]) >= {"partition", "round", "encode"}
 
 
 def test_controllers_keep_every_frame_and_the_decoders_state(job: TrainJob, tmp_path: Path) -> None:
@@ -164,7 +104,7 @@ def test_a_failing_encoder_ends_the_stream_and_the_training(job: TrainJob, monke
             raise ModelError("the encoder broke")
         return encode_residual(before, *arguments, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("streamlod.server.pipeline.encoding.encode_residual", encode)
+    monkeypatch.setattr("streamlod.server.pipeline.stages.encoding.encode_residual", encode)
     frames = train_stream(open_job(job))
     assert [next(frames).version, next(frames).version] == [0, 1]
     with pytest.raises(ModelError, match="the encoder broke"):
@@ -286,81 +226,3 @@ def test_keyframes_come_at_the_interval(job: TrainJob) -> None:
 def test_a_camera_that_does_not_exist_is_refused() -> None:
     with pytest.raises(InputError, match="cam99"):
         open_job(replace(JOB, test=("cam99",)))
-
-
-def test_an_interrupted_run_leaves_nothing(job: TrainJob, tmp_path: Path) -> None:
-    def interrupt(frame: EncodedFrame) -> None:
-        if frame.version == 1:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train_clip(open_job(job), tmp_path / "scene.slod", interrupt)
-    assert list(tmp_path.iterdir()) == []
-
-
-def _photographs(folder: Path, instants: int) -> TrainJob:
-    """A job for pictures in files, which are trained in full size."""
-    dataset = open_synthetic(SPEC)
-    entries = [(f"{camera.name}.png", camera, "PINHOLE") for camera in dataset.cameras]
-    write_colmap_binary(folder / "sparse" / "0", entries, np.zeros((0, 6)))
-    for frame in dataset.frames(0, instants):
-        for camera, image in zip(dataset.cameras, frame.images, strict=True):
-            write_picture(folder / "frames" / f"{frame.index:04d}" / f"{camera.name}.png", image)
-    return replace(JOB, synthetic=None, data=folder, test=(), frames=None)
-
-
-def test_a_late_fault_keeps_what_was_trained(job: TrainJob, tmp_path: Path) -> None:
-    late = replace(_photographs(tmp_path / "data", 3), points=job.points)
-    for picture in (tmp_path / "data" / "frames" / "0002").iterdir():
-        picture.write_bytes(picture.read_bytes()[:-500])
-    write_sounding(tmp_path / "recorder.wav", 1.0, "pcm_s16le", pictures=False)
-    seen, out = list[EncodedFrame](), tmp_path / "scene.slod"
-    with pytest.raises(
-        TrainingCutShort, match=r"frame 2 has no picture from any camera; .*scene\.slod holds the first 2 of 3 frames"
-    ) as caught:
-        train_clip(open_job(late), out, seen.append, sound=str(tmp_path / "recorder.wav"))
-    assert (caught.value.kept, caught.value.wanted) == (2, 3)
-    with SlodReader(out) as reader:
-        assert [*reader.packets()] == [p for frame in seen for p in frame.packets]
-    assert len(seen) == 2
-    heard = sum(map(len, read_sound(tmp_path / "scene.slod.opus")))
-    assert heard == round(2 * SAMPLE_RATE / FPS_OF_PICTURES)  # as long as the pictures that were kept
-    assert json.loads((tmp_path / "scene.slod.json").read_text())["cut_short"] == str(caught.value)
-
-
-def test_a_full_disk_keeps_what_was_trained(job: TrainJob, tmp_path: Path) -> None:
-    out = tmp_path / "scene.slod"
-    with ExitStack() as disk:
-
-        def fill(frame: EncodedFrame) -> None:
-            if frame.version == 1:
-                (partial,) = tmp_path.iterdir()
-                disk.enter_context(files_up_to(partial.stat().st_size + 20))
-
-        with pytest.raises(TrainingCutShort, match=r"scene\.slod: cannot be written \(.*holds the first 2 of 4 frames"):
-            train_clip(open_job(job), out, fill)
-    with SlodReader(out) as reader:
-        assert [entry.to_version for entry in reader.entries] == [0, 1]
-
-
-def test_a_fault_in_the_first_frame_leaves_nothing(job: TrainJob, tmp_path: Path) -> None:
-    early = replace(_photographs(tmp_path / "data", 1), points=job.points)
-    for picture in (tmp_path / "data" / "frames" / "0000").iterdir():
-        picture.write_bytes(picture.read_bytes()[:-500])
-    with pytest.raises(InputError):
-        train_clip(open_job(early), tmp_path / "scene.slod", lambda _: None)
-    assert [path.name for path in tmp_path.iterdir()] == ["data"]
-
-
-def test_an_unforeseen_fault_keeps_what_was_trained_and_its_traceback(
-    job: TrainJob, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object) -> None:
-        raise ZeroDivisionError("a mistake of ours")
-
-    monkeypatch.setattr(Trainer, "predict", fail)
-    with pytest.raises(ZeroDivisionError) as caught:
-        train_clip(open_job(job), tmp_path / "scene.slod", lambda _: None)
-    assert "holds the first 1 of 4 frames" in caught.value.__notes__[0]
-    with SlodReader(tmp_path / "scene.slod") as reader:
-        assert len(reader.entries) == 1

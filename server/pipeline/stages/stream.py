@@ -11,10 +11,10 @@ from contextlib import closing
 
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.train import Progress
-from streamlod.server.pipeline.bounded_queue import Outlet, made_by
-from streamlod.server.pipeline.encoding import EncodedFrame, KeyframeSize, TrainedState, encoded
-from streamlod.server.pipeline.opened import OpenJob
-from streamlod.server.pipeline.training import TrainingStage
+from streamlod.server.pipeline.stages.bounded_queue import Outlet, made_by
+from streamlod.server.pipeline.stages.encoding import EncodedFrame, KeyframeSize, TrainedState, encoded
+from streamlod.server.pipeline.stages.opened import OpenJob
+from streamlod.server.pipeline.stages.training import TrainingStage
 
 
 def train_stream(

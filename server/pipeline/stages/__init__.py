@@ -1,0 +1,1 @@
+"""From pictures to packets: read, train, encode, side by side."""
