@@ -17,7 +17,7 @@ from streamlod.server.api.ranges import FRESH, IMMUTABLE, Download, WallClock, r
 from streamlod.server.http.problems import PROBLEMS, Problem
 from streamlod.server.protocol.packets import Position
 from streamlod.server.stream.bus import GroupFile, RetainedGroup
-from streamlod.server.stream.store import Segment
+from streamlod.server.stream.recording.segment import Segment
 from streamlod.server.stream.stream import Stream
 
 _PACKET_TYPE, _FILE_TYPE = "application/vnd.streamlod.packet", "application/vnd.streamlod"

@@ -15,7 +15,8 @@ from streamlod.server.api.registry import Registry
 from streamlod.server.api.schemas import RecordingBody, RecordingList
 from streamlod.server.auth.gate import Right
 from streamlod.server.http.problems import PROBLEMS, Problem
-from streamlod.server.stream.store import Recording, Segment
+from streamlod.server.stream.recording.recording import Recording
+from streamlod.server.stream.recording.segment import Segment
 
 _ANSWERS: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (401, 403, 404, 422, 429)}
 router = APIRouter(prefix="/v1/recordings", tags=["recordings"], responses=_ANSWERS)

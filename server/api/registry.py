@@ -20,7 +20,8 @@ from streamlod.server.pipeline.spec import StreamSpec, spec_from_json
 from streamlod.server.settings import Settings
 from streamlod.server.stream.bus import Outbox
 from streamlod.server.stream.feed import Feed
-from streamlod.server.stream.store import Recording, Store
+from streamlod.server.stream.recording.recording import Recording
+from streamlod.server.stream.recording.store import Store
 from streamlod.server.stream.stream import Stream
 from streamlod.server.stream.traces import Traces
 from streamlod.server.stream.worker_stream import WorkerStream
@@ -119,7 +120,7 @@ class Registry:
             raise InputError(f"stream {spec.id}", "the id is taken; choose another")
         if len(self.streams) >= self.settings.limits.streams:
             raise InputError(f"stream {spec.id}", f"there are {len(self.streams)} streams, and no more are allowed")
-        if self.store is not None and not self.store.has_room:
+        if self.store is not None and not self.store.disk.has_room:
             raise StorageError(f"stream {spec.id}", "cannot be stored: the disk is full up to its reserve")
         stream = self._add(spec)
         recording = stream.bus.recording

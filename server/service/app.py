@@ -213,7 +213,7 @@ def _add_health(app: FastAPI) -> None:
         detail = registry.unready
         if registry.draining:
             detail = "the server is stopping"
-        elif registry.store is not None and not registry.store.has_room:
+        elif registry.store is not None and not registry.store.disk.has_room:
             detail = "the disk is full except for its reserve"
         response.status_code = 503 if detail else 200
         return Health(status="not ready" if detail else "ok", detail=detail)

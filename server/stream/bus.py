@@ -19,7 +19,8 @@ from typing import Protocol
 from streamlod.codec.container import SlodReader
 from streamlod.core.errors import BitstreamError, InputError
 from streamlod.server.protocol.packets import PacketWindow, Position, StreamPacket, stream_packet
-from streamlod.server.stream.store import Recording, Segment
+from streamlod.server.stream.recording.recording import Recording
+from streamlod.server.stream.recording.segment import Segment
 
 _RECORD_SECONDS = 0.5  # that viewers wait for a disk, or for other servers, when these stand still
 GroupFile = Path | list[StreamPacket]  # a recorded group of pictures, or one in memory

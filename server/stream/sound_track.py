@@ -15,7 +15,7 @@ from streamlod.codec.sound.beside import look_at_sound, sound_beside
 from streamlod.codec.sound.packets import OpusPacket, OpusSettings, read_packets
 from streamlod.core.errors import InputError
 from streamlod.server.protocol.packets import BinaryMessage
-from streamlod.server.stream.store import Recording
+from streamlod.server.stream.recording.recording import Recording
 
 _MEMORY_BYTES = 4_000_000  # some five minutes; what is older is on disk, where it is recorded
 _READ_PIECES = 50  # at once

@@ -23,7 +23,7 @@ from streamlod.server.protocol.packets import Position, StreamPacket, stream_pac
 from streamlod.server.settings import Settings
 from streamlod.server.stream.bus import Bus
 from streamlod.server.stream.feed import Feed
-from streamlod.server.stream.store import Recording
+from streamlod.server.stream.recording.recording import Recording
 from streamlod.server.stream.stream import Stream
 from streamlod.server.stream.traces import FrameStages, Stage, StageTimer, Traces
 from streamlod.server.worker.camera_pictures import unpack_pictures

@@ -27,7 +27,7 @@ from streamlod.core.scene.residual import difference
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Retention, Settings
-from streamlod.server.stream.store import Store
+from streamlod.server.stream.recording.store import Store
 from streamlod.server.stream.worker_stream import MAX_AWAY_SECONDS, WorkerStream
 from streamlod.server.worker.process import Resume, Tag
 from tests.codec.scenes import assert_same_state, move
@@ -93,7 +93,7 @@ def test_two_servers_do_not_share_a_folder(tmp_path: Path) -> None:
     first = Store(tmp_path, Retention())
     with pytest.raises(InputError, match="another server"):
         Store(tmp_path, Retention())
-    code = f"from streamlod.server.stream.store import *; Store(Path({str(tmp_path)!r}), Retention())"
+    code = f"from streamlod.server.stream.recording.store import *; Store(Path({str(tmp_path)!r}), Retention())"
     other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "another server" in other.stderr
     first.close()
@@ -249,7 +249,7 @@ def test_what_a_viewer_got_is_on_the_disk_already(
         assert store is not None
         for number in range(12):
             if number % 4 == 0:
-                store.submit(partial(time.sleep, 0.3))  # a disk that is slow now and then
+                store.disk.submit(partial(time.sleep, 0.3))  # a disk that is slow now and then
             version = next_version(viewer)
             assert recorded_version(tmp_path) >= version
 
@@ -268,7 +268,7 @@ def test_a_disk_that_stands_still_holds_viewers_up_once(
         viewer.until("caught_up")
         store = server.registry.store
         assert store is not None
-        store.submit(stand_still)
+        store.disk.submit(stand_still)
         try:
             assert held.wait(20)
             recorded = recorded_version(tmp_path)

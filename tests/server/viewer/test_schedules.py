@@ -26,7 +26,7 @@ from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.protocol.messages import Ack, Hello, Pause, Play, Seek, Set
 from streamlod.server.protocol.packets import BinaryMessage, Position
 from streamlod.server.settings import Limits, Retention, Settings
-from streamlod.server.stream.store import Store
+from streamlod.server.stream.recording.store import Store
 from streamlod.server.stream.worker_stream import WorkerStream
 from streamlod.server.viewer.session import ViewerSession
 from streamlod.server.worker.process import Tag

@@ -19,8 +19,9 @@ from streamlod.core.errors import InputError
 from streamlod.server.protocol.packets import Position, StreamPacket, stream_packet
 from streamlod.server.settings import Retention
 from streamlod.server.stream.bus import Bus
+from streamlod.server.stream.recording.recording import Recording
+from streamlod.server.stream.recording.store import Store
 from streamlod.server.stream.sound_track import SoundTrack
-from streamlod.server.stream.store import Recording, Store
 from tests.server.conftest import make_clip
 from tests.server.sounds import pieces
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from streamlod.core.masking import masked
-from streamlod.server.stream.sealing import Seal
+from streamlod.server.stream.recording.sealing import Seal
 
 SECRET = "geheim"
 WITH_SECRETS = [

@@ -9,8 +9,8 @@ import pytest
 
 from streamlod.codec.container import SlodWriter
 from streamlod.server.settings import Retention
-from streamlod.server.stream.store import Store
-from streamlod.server.stream.stored_stream import StoredStream, read_stored, write_stored
+from streamlod.server.stream.recording.store import Store
+from streamlod.server.stream.recording.stored_stream import StoredStream, read_stored, write_stored
 from tests.server.conftest import Clip
 
 
