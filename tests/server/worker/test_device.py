@@ -30,6 +30,6 @@ def test_a_worker_trains_on_the_device_that_was_asked_for(
     np.savez(tmp_path / "points.npz", positions=points.positions[::4], colours=points.colours[::4])
     job = TrainJob(synthetic=asdict(SPEC), preset="live", points=str(tmp_path / "points.npz"), device="cuda")
     with running(Settings(worker=WorkerSettings(spare=False)), StreamSpec(job=job)) as service:
-        found = service.wait(lambda stream: stream["state"] in ("ended", "failed"), seconds=120)
+        found = service.wait(lambda stream: stream["state"] in ("ended", "failed"), seconds=300)
         assert found["state"] == "ended", found["detail"]
         assert found["version"] == 2  # of a draft and two frames
