@@ -32,7 +32,9 @@ from streamlod.server.stream.bus import RetainedGroup
 from streamlod.server.stream.stream import Stream
 from streamlod.server.stream.worker_stream import WorkerStream
 
-_USUAL: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (400, 401, 403, 404, 415, 422, 429)}
+_USUAL: dict[int | str, dict[str, Any]] = {
+    status: PROBLEMS[status] for status in (400, 401, 403, 404, 413, 415, 422, 429)
+}
 
 
 def _problems(*statuses: int) -> dict[int | str, dict[str, Any]]:

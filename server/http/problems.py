@@ -56,12 +56,13 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
         400: "the body is no JSON", 401: "token missing or wrong", 403: "the token lacks the right",
         404: "not found", 405: "this address takes other methods", 409: "conflict",
         410: "it has left the window", 412: "the stream is not as `If-Match` expects",
-        413: "the request is too large", 415: "the body is not of type application/json",
+        415: "the body is not of type application/json",
         416: "the range lies outside", 421: "the server does not answer to this name",
         422: "the request is malformed", 429: "too many wrong tokens", 502: "the origin does not answer",
         503: "the server is stopping", 507: "the disk is full",
     }.items()
 }  # fmt: skip
+PROBLEMS[413] = {"description": "the body is too large; the connection ends"}  # before it is read: without a body
 
 
 _PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">

@@ -1,1 +1,1 @@
-"""What a server keeps of its streams on disk."""
+"""Recordings: files of streams on disk."""

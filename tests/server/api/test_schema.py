@@ -14,7 +14,7 @@ from streamlod.server.settings import Limits, Settings
 from tests.server.conftest import Clip, Running, running
 
 SCHEMATHESIS = Path(sys.executable).with_name("schemathesis")
-REFUSALS = [400, 401, 403, 404, 405, 406, 409, 412, 415, 422, 428, 429]  # with `If-Match` that comes first
+REFUSALS = [400, 401, 403, 404, 405, 406, 409, 412, 413, 415, 422, 428, 429]  # with `If-Match` that comes first
 pytestmark = pytest.mark.skipif(
     not SCHEMATHESIS.exists(), reason="schemathesis is not installed: pip install schemathesis"
 )
