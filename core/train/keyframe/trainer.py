@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import torch
@@ -54,7 +55,7 @@ class KeyframeTrainer:
         motion_cell: float,
         space: NearSpace | None = None,
     ) -> None:
-        self._config, self._model = _at_contrast(config.keyframe, views.contrast), config.model
+        self._config, self._model = _for_pictures(config.keyframe, views), config.model
         device = field.feature.device
         self._generator = torch.Generator(device).manual_seed(config.seed)
         self._chances = torch.Generator().manual_seed(config.seed)  # what the host decides
@@ -206,11 +207,15 @@ class KeyframeTrainer:
         return config.hiding_weight * self._space.hidden(splats, config.clearance).view(len(field), -1)
 
 
-def _at_contrast(config: KeyframeConfig, contrast: float) -> KeyframeConfig:
-    """What is weighed against losses and gradients, for pictures in which these are smaller than usual."""
-    if contrast >= config.usual_contrast:
-        return config
-    share = max(contrast / config.usual_contrast, _LEAST_CONTRAST)
+def _for_pictures(config: KeyframeConfig, views: Views) -> KeyframeConfig:
+    """What is weighed against losses and gradients, for pictures of less contrast, or larger, than is usual."""
+    share, larger = 1.0, 1.0
+    if config.usual_contrast > 0:
+        share = min(max(views.contrast / config.usual_contrast, _LEAST_CONTRAST), 1.0)
+    if config.usual_rows > 0:
+        larger = max(views.targets.shape[1] / config.usual_rows, 1.0)
     return replace(
-        config, opacity_weight=share * config.opacity_weight, growth_threshold=share * config.growth_threshold
+        config,
+        opacity_weight=share * config.opacity_weight,
+        growth_threshold=share / math.sqrt(larger) * config.growth_threshold,
     )

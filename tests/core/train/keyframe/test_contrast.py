@@ -1,4 +1,4 @@
-"""Dark pictures get as fine a model as bright ones."""
+"""Dark pictures get as fine a model as bright ones, and large pictures a finer one."""
 
 from __future__ import annotations
 
@@ -41,3 +41,15 @@ def test_a_dark_scene_keeps_its_detail() -> None:
         counts[name] = trainer.keyframe(replace(frame, images=images), start).scene.anchor_count
     assert counts["dark"] > 0.75 * counts["bright"]
     assert counts["ignored"] < 0.75 * counts["dark"]
+
+
+def test_larger_pictures_than_usual_get_more_anchors() -> None:
+    clip = open_synthetic(SPEC)
+    frame, points = next(iter(clip.frames())), true_points(SPEC)
+    config = short(preset("live"), 60, max_anchors=20_000)
+    counts = {}
+    for rows in (0, SPEC.height, SPEC.height // 4):
+        chosen = replace(config, keyframe=replace(config.keyframe, usual_rows=rows))
+        counts[rows] = Trainer(clip.cameras, chosen, 10.0, "cpu").keyframe(frame, points).scene.anchor_count
+    assert counts[0] == counts[SPEC.height]
+    assert counts[SPEC.height // 4] > 1.1 * counts[0]
