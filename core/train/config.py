@@ -117,10 +117,10 @@ class KeyframeConfig:
         " `growth_threshold` fall with it, as losses and gradients do; 0: they never fall",
         reading(0.0, "not mentioned: the same for all pictures"),
     )
-    usual_rows: int = setting(
-        270,
-        "rows of pixels above which `growth_threshold` falls with the root of their number: what is one pixel large"
-        " pulls less in a larger picture, what is one metre large as much; 0: it never falls",
+    usual_pixels: int = setting(
+        480 * 270,
+        "pixels of a picture above which `growth_threshold` falls with the fourth root of their number: what is one"
+        " pixel large pulls less in a larger picture, what is one metre large as much; 0: it never falls",
         reading(0, "not mentioned: the same for all sizes"),
     )
     dropout_base: float = setting(

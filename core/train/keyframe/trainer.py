@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import torch
@@ -212,10 +211,10 @@ def _for_pictures(config: KeyframeConfig, views: Views) -> KeyframeConfig:
     share, larger = 1.0, 1.0
     if config.usual_contrast > 0:
         share = min(max(views.contrast / config.usual_contrast, _LEAST_CONTRAST), 1.0)
-    if config.usual_rows > 0:
-        larger = max(views.targets.shape[1] / config.usual_rows, 1.0)
+    if config.usual_pixels > 0:
+        larger = max(views.targets[0, ..., 0].numel() / config.usual_pixels, 1.0)
     return replace(
         config,
         opacity_weight=share * config.opacity_weight,
-        growth_threshold=share / math.sqrt(larger) * config.growth_threshold,
+        growth_threshold=share / larger**0.25 * config.growth_threshold,
     )

@@ -47,9 +47,9 @@ def test_larger_pictures_than_usual_get_more_anchors() -> None:
     clip = open_synthetic(SPEC)
     frame, points = next(iter(clip.frames())), true_points(SPEC)
     config = short(preset("live"), 60, max_anchors=20_000)
-    counts = {}
-    for rows in (0, SPEC.height, SPEC.height // 4):
-        chosen = replace(config, keyframe=replace(config.keyframe, usual_rows=rows))
-        counts[rows] = Trainer(clip.cameras, chosen, 10.0, "cpu").keyframe(frame, points).scene.anchor_count
-    assert counts[0] == counts[SPEC.height]
-    assert counts[SPEC.height // 4] > 1.1 * counts[0]
+    counts, own = {}, SPEC.width * SPEC.height
+    for pixels in (0, own, own // 16):
+        chosen = replace(config, keyframe=replace(config.keyframe, usual_pixels=pixels))
+        counts[pixels] = Trainer(clip.cameras, chosen, 10.0, "cpu").keyframe(frame, points).scene.anchor_count
+    assert counts[0] == counts[own]
+    assert counts[own // 16] > 1.1 * counts[0]
