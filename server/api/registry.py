@@ -304,10 +304,10 @@ class Registry:
                 else:  # settings were tightened since
                     _LOG.warning("stream %s may not run any more: %s", name, error)
                     self._initial = [each for each in self._initial if each != name]
-                    found.fail(str(error))
+                    found.enter("failed", str(error))
 
     async def _begin(self, stream: WorkerStream, *, start: bool) -> None:
-        restoring = asyncio.create_task(stream.restore())
+        restoring = asyncio.create_task(stream.work.restore())
         await asyncio.sleep(0)  # it has begun; the worker loads its code meanwhile, and continues from what is restored
         if start:
             with contextlib.suppress(InputError):  # deleted already, or the server stops

@@ -103,7 +103,7 @@ class EdgeStream(Stream):
         self.report, self.ingest = described.report, described.ingest
         if not self.is_pulled:
             self.progress = described.progress
-            self._enter(described.state, described.detail)
+            self.enter(described.state, described.detail)
 
     def join(self) -> None:
         """A viewer has come; the first one begins the pull."""
@@ -159,7 +159,7 @@ class EdgeStream(Stream):
 
     async def on_packet(self, data: bytes) -> None:
         """See `supply.PacketTaker`."""
-        packet = stream_packet(self._sequence, self._coming_epoch, data)
+        packet = stream_packet(self.sequence, self._coming_epoch, data)
         joining, self._joining = self._joining, False
         if self._has(packet.position, data):
             return
@@ -168,8 +168,8 @@ class EdgeStream(Stream):
         decoded = await self.hub.decode(packet)
         timer.end("decode")
         if before is None or packet.position.epoch != before.epoch:
-            self._tell(event("epoch", epoch=packet.position.epoch))
-        self.hub.send(decoded, self._window_message())
+            self.tell(event("epoch", epoch=packet.position.epoch))
+        self.hub.send(decoded, self.window_message())
         timer.end("send")
         if self.traces.listeners:
             position = packet.position
@@ -177,18 +177,18 @@ class EdgeStream(Stream):
         if joining and before is not None:  # packets are missing in between; a keyframe begins anew
             self.bus.skip()
         retained = self.bus.window.newest  # behind the hub's where a group of pictures was dropped
-        self._publish(packet if retained is None else replace(packet, sequence=retained.sequence + 1))
+        self.publish(packet if retained is None else replace(packet, sequence=retained.sequence + 1))
 
     def on_sound(self, data: bytes) -> None:
         """See `supply.PacketTaker`."""
-        self._hear(data)
+        self.hear(data)
 
     def on_break(self, reason: str) -> None:
         """See `supply.PacketTaker`."""
         self._breaks += 1
         self.together.permit(False)
         self.together.relay(None, Present(None, None))
-        self._enter(
+        self.enter(
             "degraded",
             f"the connection to {self._supply.origin_name} is lost ({reason}); it is being restored"[:_MAX_DETAIL],
         )
@@ -216,12 +216,12 @@ class EdgeStream(Stream):
         fraction, loss, text = message.get("fraction"), message.get("loss"), message.get("text")
         if isinstance(fraction, int | float) and isinstance(loss, int | float | None) and isinstance(text, str):
             self.progress = {"fraction": fraction, "loss": loss, "text": text[:_MAX_DETAIL]}
-            self._tell(event("progress", **self.progress))
+            self.tell(event("progress", **self.progress))
 
     def _on_state(self, message: dict[str, Any]) -> None:
         state, detail = message.get("state"), message.get("detail")
         if isinstance(state, str) and state in _STATES and isinstance(detail, str):
-            self._enter(state, detail[:_MAX_DETAIL])
+            self.enter(state, detail[:_MAX_DETAIL])
 
     async def _pull(self) -> None:
         try:

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import time
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from streamlod.core.errors import StorageError
 from streamlod.core.masking import masked
 from streamlod.server.protocol.messages import event
 from streamlod.server.protocol.packets import Position, StreamPacket, text_frame
@@ -24,6 +26,7 @@ from streamlod.server.stream.sound_track import SoundTrack
 from streamlod.server.stream.together import Together
 from streamlod.server.stream.traces import Traces
 
+_LOG = logging.getLogger(__name__)
 _HUB_BYTES = 8_000_000  # packets that viewers may lag behind within; seeking reads the bus
 _WINDOW_SECONDS = 1.0  # from one window event to the next
 Source = Literal["cameras", "data", "recording"]
@@ -50,6 +53,7 @@ class Stream:
         sound_track: its live sound.
         worker_node: address of the cluster's node that its worker runs on; empty where it runs on this machine, or not.
         is_paused: whether it plays a file that nobody watches, and so makes no packets for now.
+        sequence: serial number of the next packet.
         camera_pictures: a small JPEG file of what each camera saw last, where the server shows that.
     """
 
@@ -87,7 +91,7 @@ class Stream:
         self.camera_pictures: dict[str, bytes] = {}
         self.deleted = self.replaced = False
         self.live_at = 0.0  # monotonic time of the newest packet
-        self._sequence = 0
+        self.sequence = 0
         self._windowed_at = 0.0
         self._events: list[asyncio.Queue[dict[str, Any]]] = []
 
@@ -170,10 +174,6 @@ class Stream:
             "live_path": f"/v1/streams/{self.id}/live",
         }
 
-    def fail(self, why: str) -> None:
-        """Tell its viewers and its owner why it does not run."""
-        self._enter("failed", why)
-
     def now_ns(self) -> int:
         """Unix time of the clock that live cameras' packets carry."""
         return time.time_ns()
@@ -188,7 +188,7 @@ class Stream:
         """No more events into `queue`."""
         self._events.remove(queue)
 
-    def _hear(self, data: bytes) -> None:
+    def hear(self, data: bytes) -> None:
         """Take a piece of live sound; viewers are told when there is some at last."""
         before = self.sound
         self.sound_track.add(data)
@@ -197,17 +197,17 @@ class Stream:
     def _tell_sound(self, before: dict[str, Any] | None) -> None:
         """Tell viewers that there is sound, if there was none `before`."""
         if before is None and self.sound is not None:
-            self._tell(event("sound", **self.sound))
+            self.tell(event("sound", **self.sound))
 
-    def _publish(self, packet: StreamPacket) -> None:
+    def publish(self, packet: StreamPacket) -> None:
         """Retain the packet that the hub has just accepted."""
         self.bus.publish(packet)
-        self._sequence += 1
+        self.sequence += 1
         self.counters.packets += 1
         self.counters.packet_bytes += len(packet.data)
         self.live_at = time.monotonic()
 
-    def _window_message(self) -> bytes:
+    def window_message(self) -> bytes:
         """A framed window event, at most once a second, otherwise nothing."""
         now, window = time.monotonic(), self.window
         if window is None or now - self._windowed_at < _WINDOW_SECONDS:
@@ -215,20 +215,31 @@ class Stream:
         self._windowed_at = now
         return text_frame(json.dumps(event("window", **window)))
 
-    def _enter(self, state: str, detail: str = "") -> None:
+    def enter(self, state: str, detail: str = "") -> None:
+        """Be in a state of docs/protocol.md, for a reason in `detail`; viewers are told if it is another one."""
         if (state, detail) != (self.state, self.detail):
             self.state, self.detail = state, detail
             if state in {"idle", "ended", "failed"}:
                 self.camera_pictures = {}
-            self._tell(event("state", state=state, detail=masked(detail)))
+            self.tell(event("state", state=state, detail=masked(detail)))
             self.feed.tell("stream.state", self.id, state=state, detail=masked(detail))
 
-    def _tell(self, message: dict[str, Any]) -> None:
+    def tell(self, message: dict[str, Any]) -> None:
+        """Send viewers an event."""
         for queue in self._events:
             if queue.full():  # a viewer that reads nothing; drop its oldest event
                 queue.get_nowait()
             queue.put_nowait(message)
         self.hub.wake()
+
+    def note(self, **changes: Any) -> None:
+        """Remember fields of `StoredStream` that have changed, as far as the disk takes it."""
+        if self.bus.recording is None:
+            return
+        try:
+            self.bus.recording.note(**changes)
+        except StorageError as error:
+            _LOG.warning("stream %s: %s", self.id, error)
 
     def _recording_state(self) -> str:
         if self.bus.recording is None or not self.bus.keeps:

@@ -125,7 +125,7 @@ async def _serve_hub(pipe: Connection, packets: list[bytes]) -> None:
     async def publish(data: bytes) -> None:
         nonlocal newest
         newest = stream.counters.sent_bytes + len(data) * stream.viewers
-        await stream.on_message(Tag.PACKET, data)
+        await stream.work.on_message(Tag.PACKET, data)
 
     feed = _Feed(
         publish,

@@ -29,6 +29,6 @@ def hear(server: Running, found: Iterable[SoundPiece], name: str = "main") -> No
 
     async def tell() -> None:
         for piece in found:
-            await stream.on_message(Tag.SOUND, pack_piece(piece))
+            await stream.work.on_message(Tag.SOUND, pack_piece(piece))
 
     asyncio.run_coroutine_threadsafe(tell(), server.loop).result(30)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import hashlib
 import json
@@ -10,7 +9,7 @@ import math
 import multiprocessing
 import threading
 import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -30,20 +29,18 @@ from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.keyframe import as_keyframe
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
-from streamlod.server.ingest.statistics import CameraStatistics, Statistics
-from streamlod.server.ingest.sync.clock import ClockSource
-from streamlod.server.ingest.sync.synchroniser import CameraState, Counts
+from streamlod.server.ingest.sync.synchroniser import CameraState
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.pipeline.stages.opened import open_job
 from streamlod.server.pipeline.stages.stream import train_stream
 from streamlod.server.service.ingest_metrics import ingest_families
 from streamlod.server.settings import Settings, load_settings
-from streamlod.server.stream.worker_stream import WorkerStream
 from streamlod.server.worker.camera_pictures import unpack_pictures
 from streamlod.server.worker.process import Sender, Tag, train
 from tests.server.brief import brief_training
 from tests.server.conftest import Clip, running
+from tests.server.figures import figures
 from tests.server.ingest.push.serving import relayed
 
 SPEC = SyntheticSpec(cameras=4, frames=6, width=96, height=54, seed=2)
@@ -191,48 +188,6 @@ def test_a_failing_encoder_ends_training_that_waits_for_cameras(
     with brief_training(), pytest.raises(ModelError, match="the encoder broke"):
         next(train_stream(opened))
     assert "training" not in {thread.name for thread in threading.enumerate()}
-
-
-def figures(
-    state: CameraState = CameraState.OK, fault: str = "", *, waiting: bool = False, knocked: bool = False
-) -> dict[str, Any]:
-    """What a worker tells of two cameras, one of them in this state."""
-    one = CameraStatistics(CameraState.OK, ClockSource.NTP, 1_000_000, -3.5, Counts(7, 1, 2, 3, 4, -2_000_000), 1, "")
-    one = replace(one, shift=35.2 if knocked else None, knocked=knocked)
-    other = CameraStatistics(state, None, 0, 0.0, Counts(), 2, fault)
-    rig = Statistics(state is CameraState.LOST, waiting, 5, 6, 7, 8_000_000, 9, {"cam0": one, "cam1": other})
-    told: dict[str, Any] = json.loads(json.dumps(asdict(rig)))
-    return told
-
-
-def test_a_stream_is_degraded_while_a_camera_is_lost(clip: Clip) -> None:
-    async def run() -> None:
-        stream = WorkerStream(StreamSpec(job=TrainJob(live=definition())), Settings())
-        await stream.resume_point()
-
-        async def tell(told: dict[str, Any]) -> tuple[str, str]:
-            await stream.on_message(Tag.INGEST, json.dumps(told).encode())
-            assert stream.describe()["ingest"] == told
-            return stream.state, stream.detail
-
-        lost = figures(CameraState.LOST, "Connection refused")
-        stream._enter("starting")
-        assert await tell(lost) == ("starting", "camera cam1 is lost (Connection refused)")
-        assert await tell(figures()) == ("starting", "")
-        await stream.on_message(Tag.PACKET, clip.packets[0])
-        assert stream.state == "live"
-        assert await tell(lost) == ("degraded", "camera cam1 is lost (Connection refused)")
-        await stream.on_message(Tag.PACKET, clip.packets[1])
-        assert stream.state == "degraded"
-        assert await tell(figures(CameraState.LATE)) == ("live", "")
-        state, detail = await tell(figures(knocked=True))
-        assert (state, detail[:24]) == ("degraded", "camera cam0 was knocked:")
-        assert await tell(figures()) == ("live", "")
-        await stream.resume_point()  # the worker died
-        stream._enter("degraded", "the worker ended by signal 9; it is being restarted")
-        assert await tell(figures()) == ("degraded", "the worker ended by signal 9; it is being restarted")
-
-    asyncio.run(run())
 
 
 def test_metrics_of_cameras_are_what_the_worker_told_and_documented() -> None:

@@ -369,7 +369,7 @@ def test_a_stream_that_cannot_be_created_leaves_the_recording_of_an_earlier_one(
 def test_a_stream_that_is_started_again_tells_no_progress_of_before(server: Running, client: httpx.Client) -> None:
     """It trains its first frame from the beginning, and none at all where it continues."""
     stream, told = server.worker_stream(), b'{"fraction": 0.6, "loss": 0.1, "text": "first frame"}'
-    asyncio.run_coroutine_threadsafe(stream.on_message(Tag.PROGRESS, told), server.loop).result(60)
+    asyncio.run_coroutine_threadsafe(stream.work.on_message(Tag.PROGRESS, told), server.loop).result(60)
     assert client.post("/v1/streams/main/stop").json()["progress"]["fraction"] == 0.6
     assert client.post("/v1/streams/main/start").json()["progress"] is None
     server.wait(lambda stream: stream["state"] == "live")

@@ -225,9 +225,9 @@ async def play(folder: Path | None, seed: int, viewers: int) -> None:
     tasks: list[asyncio.Task[None]] = []
     for epoch, packets in enumerate(clip.packets):
         if epoch:
-            await stream.on_message(Tag.EPOCH, b"")
+            await stream.work.on_message(Tag.EPOCH, b"")
         for number, data in enumerate(packets):
-            await stream.on_message(Tag.PACKET, data)
+            await stream.work.on_message(Tag.PACKET, data)
             if number % 2 == 0 and len(schedules) < viewers:
                 for _ in range(viewers // 12 + 1):
                     schedules.append(Schedule(stream, clip, seed * 1000 + len(schedules)))

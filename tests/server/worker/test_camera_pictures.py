@@ -78,7 +78,7 @@ def test_who_may_watch_sees_them_while_the_stream_runs(clip: Clip, tmp_path: Pat
         assert isinstance(stream, WorkerStream)
         wait(lambda: stream.state == "live")
         assert client.get(address, headers=bearer("mine")).status_code == 404
-        asyncio.run(stream.on_message(Tag.PICTURES, stills))
+        asyncio.run(stream.work.on_message(Tag.PICTURES, stills))
         answer = client.get(address, headers=bearer("mine"))
         assert (answer.status_code, answer.content) == (200, b"jpeg")
         assert answer.headers["content-type"] == "image/jpeg"
@@ -86,7 +86,7 @@ def test_who_may_watch_sees_them_while_the_stream_runs(clip: Clip, tmp_path: Pat
         assert client.get(address).status_code == 401
         described = client.get("/v1/streams/main", headers=bearer("mine")).json()
         assert described["camera_pictures"] == ["cam 1"]
-        stream._enter("ended")
+        stream.enter("ended")
         assert client.get(address, headers=bearer("mine")).status_code == 404
 
 

@@ -51,7 +51,7 @@ def test_a_stream_without_room_is_refused_with_what_would_have_to_stop(
     nodes: Nodes, clip: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("streamlod.server.stream.worker_stream.run_on_ray", actors.play_on_ray)
-    monkeypatch.setattr("streamlod.server.stream.worker_stream._PLACING_SECONDS", 60.0)  # Ray may load slowly
+    monkeypatch.setattr("streamlod.server.stream.worker.placing._PLACING_SECONDS", 60.0)  # Ray may load slowly
     source = {"data": str(clip)}
     with running(settings(nodes, 2)) as server, server.client(timeout=90) as client:
         assert client.post("/v1/streams", json={"id": "first", "start": True, **source}).status_code == 201

@@ -1,0 +1,1 @@
+"""Parts of a stream that a worker process makes; none of them knows the process."""
