@@ -18,7 +18,8 @@ from streamlod.core.arrays import UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.camera.space import UNCHANGED, Similarity, training_space
 from streamlod.core.data.lens import Undistortion, undistortions
-from streamlod.core.data.names import camera_names, listed
+from streamlod.core.data.names import camera_names
+from streamlod.core.data.placed import PlacedCameras, row_of
 from streamlod.core.errors import InputError
 from streamlod.core.frames import FrameSet, PointCloud
 
@@ -100,15 +101,13 @@ class RawRecording:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Dataset:
-    """Cameras without distortion, at the size wanted, and their pictures, read as they are asked for.
+class Dataset(PlacedCameras):
+    """Cameras, and their pictures, read as they are asked for.
 
     Attributes:
         recording: where the pictures come from.
         rows: number in the recording of each camera used here.
-        undistortions: what makes a raw picture fit the camera, for each camera used here.
-        space: leads from the calibration's coordinates to those of `cameras`, points and depth bounds.
-        cameras: pinholes that match the pictures of `frames`.
+        undistortions, space, cameras: as in `PlacedCameras`.
     """
 
     recording: RawRecording
@@ -118,27 +117,17 @@ class Dataset:
     cameras: tuple[Camera, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "cameras", tuple(self.space.camera(camera) for camera in self.calibrated))
+        object.__setattr__(self, "cameras", self.placed_cameras)
 
     @property
-    def calibrated(self) -> tuple[Camera, ...]:
-        """The cameras in the calibration's own coordinates."""
-        return tuple(plan.camera for plan in self.undistortions)
-
-    @property
-    def upright(self) -> tuple[Camera, ...]:
-        """The cameras as they stood: where pictures are turned to lie like others', before that."""
-        return tuple(self.space.camera(plan.upright) for plan in self.undistortions)
+    def calibration(self) -> RawRecording:
+        """See `PlacedCameras`."""
+        return self.recording
 
     @property
     def layout(self) -> str:
         """Name of the layout that was read."""
         return self.recording.layout
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the cameras."""
-        return tuple(camera.name for camera in self.cameras)
 
     @property
     def fps(self) -> float:
@@ -151,18 +140,9 @@ class Dataset:
         return self.recording.source.frame_count
 
     @property
-    def depth_bounds(self) -> tuple[float, float] | None:
-        """Nearest and farthest depth of the scene in units of the space, if the layout says."""
-        return scaled_bounds(self.recording.depth_bounds, self.space)
-
-    @property
     def skipped(self) -> tuple[str, ...]:
         """Names of pictures that the calibration lists and the folder lacks."""
         return self.recording.skipped
-
-    def points(self) -> PointCloud | None:
-        """The points that came with the calibration, or none; InputError if their file is damaged."""
-        return None if self.recording.read_points is None else self.recording.read_points(self.space)
 
     def normalised(self) -> Dataset:
         """The same data set in the space of training (`core.camera.space`), where unit and origin are the rig's."""
@@ -178,9 +158,7 @@ class Dataset:
         Raises:
             InputError: a name that does not exist, or given twice.
         """
-        rows = [_row_of(name, self.names, self.recording.path) for name in names]
-        if not rows or len(set(rows)) < len(rows):
-            raise InputError(self.recording.path, "needs at least one camera selected, and each only once")
+        rows = self.rows_of(names)
         return replace(
             self,
             rows=tuple(self.rows[row] for row in rows),
@@ -216,11 +194,6 @@ class Dataset:
                 yield FrameSet(index, source.time_ns(index), images, np.array(list(present), np.bool_))
 
 
-def scaled_bounds(bounds: tuple[float, float] | None, space: Similarity) -> tuple[float, float] | None:
-    """(near, far) in the units of `space`, None for None."""
-    return None if bounds is None else space.depths(bounds)
-
-
 def dataset(recording: RawRecording, downscale: float = 1, cameras: Sequence[str] | None = None) -> Dataset:
     """The data set of `recording`, scaled down by `downscale`, with the cameras named, or all.
 
@@ -231,7 +204,7 @@ def dataset(recording: RawRecording, downscale: float = 1, cameras: Sequence[str
     if not 1 <= downscale <= MAX_DOWNSCALE:
         raise InputError("downscale", f"must lie between 1 and {MAX_DOWNSCALE}, not {downscale}")
     names = [camera.name for camera in recording.cameras]
-    rows = range(len(names)) if cameras is None else [_row_of(name, names, recording.path) for name in cameras]
+    rows = range(len(names)) if cameras is None else [row_of(name, names, recording.path) for name in cameras]
     if not rows:
         raise InputError(recording.path, "needs at least one camera selected")
     plans = undistortions([recording.cameras[row] for row in rows], downscale)
@@ -256,9 +229,3 @@ def _undistort(stream: Iterator[UInt8 | None], plan: Undistortion, into: UInt8, 
         fault = "camera %s: has %dx%d pixels at instant %d, not %dx%d; its pictures of another size are left out"
         _log.warning(fault, name, picture.shape[1], picture.shape[0], index, width, height)
     return False
-
-
-def _row_of(name: str, names: Sequence[str], path: Path) -> int:
-    if name not in names:
-        raise InputError(path, f"has no camera {name!r}; it has {listed(names)}")
-    return names.index(name)

@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,10 @@ from streamlod.core.arrays import Bool, UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.camera.grid import period_of
 from streamlod.core.camera.space import UNCHANGED, Similarity
-from streamlod.core.data.dataset import scaled_bounds
 from streamlod.core.data.lens import Undistortion, undistortions
+from streamlod.core.data.placed import PlacedCameras
 from streamlod.core.errors import InputError
-from streamlod.core.frames import FrameSet, PointCloud
+from streamlod.core.frames import FrameSet
 from streamlod.server.ingest.ahead import just_in_time
 from streamlod.server.ingest.cameras.definition import RigDefinition, read_definition
 from streamlod.server.ingest.knocks import Knocks
@@ -39,16 +39,14 @@ _Undistorted = tuple[Instant, UInt8, Bool]  # an instant, its pictures' pixels [
 
 
 @dataclass(eq=False)
-class LiveDataset:
-    """A live rig in place of a data set: cameras without distortion at the size wanted, and frames as they come.
+class LiveDataset(PlacedCameras):
+    """A live rig in place of a data set: cameras, and frames as they come.
 
     Attributes:
         definition: of the rig.
-        undistortions: for each camera used, undistorts and scales its raw pictures.
         push_socket: where to take pictures that the serving process relays, while frames are read; or none.
         give_sound: takes the rig's sound as it comes, while frames are read; or none.
-        space: leads from the calibration's coordinates to those of `cameras`, points and depth bounds.
-        cameras: pinholes that match the pictures of `frames`.
+        undistortions, space, cameras: as in `PlacedCameras`.
     """
 
     definition: RigDefinition
@@ -61,31 +59,17 @@ class LiveDataset:
     _rig: Rig | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
-        self.cameras = tuple(self.space.camera(plan.camera) for plan in self.undistortions)
+        self.cameras = self.placed_cameras
 
     @property
-    def upright(self) -> tuple[Camera, ...]:
-        """The cameras as they stood, see `Dataset.upright`."""
-        return tuple(self.space.camera(plan.upright) for plan in self.undistortions)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the cameras."""
-        return tuple(camera.name for camera in self.cameras)
+    def calibration(self) -> RigDefinition:
+        """See `PlacedCameras`."""
+        return self.definition
 
     @property
     def fps(self) -> float:
         """Instants a second."""
         return self.definition.fps
-
-    @property
-    def depth_bounds(self) -> tuple[float, float] | None:
-        """Nearest and farthest depth of the scene in units of the space, if known."""
-        return scaled_bounds(self.definition.depth_bounds, self.space)
-
-    def points(self) -> PointCloud | None:
-        """The points that came with the calibration, or none."""
-        return None if self.definition.read_points is None else self.definition.read_points(self.space)
 
     def normalised(self) -> LiveDataset:
         """The same rig in the space of training, see `Dataset.normalised`."""
@@ -93,7 +77,7 @@ class LiveDataset:
 
     def placed(self, space: Similarity) -> LiveDataset:
         """The same rig in another space, to which `space` leads from the calibration's coordinates."""
-        return LiveDataset(self.definition, self.undistortions, self.push_socket, self.give_sound, space)
+        return replace(self, space=space)
 
     def select(self, names: Sequence[str]) -> LiveDataset:
         """The same rig with the cameras `names` only, in that order; others are not read.
@@ -103,14 +87,7 @@ class LiveDataset:
         Raises:
             InputError: a name that does not exist, or given twice.
         """
-        plans = {plan.camera.name: plan for plan in self.undistortions}
-        unknown = [name for name in names if name not in plans]
-        if unknown:
-            raise InputError(self.definition.path, f"has no camera {unknown[0]!r:.80}; it has {', '.join(plans)}")
-        if not names or len(set(names)) < len(names):
-            raise InputError(self.definition.path, "needs at least one camera selected, and each only once")
-        chosen = tuple(plans[name] for name in names)
-        return LiveDataset(self.definition, chosen, self.push_socket, self.give_sound, self.space)
+        return replace(self, undistortions=tuple(self.undistortions[row] for row in self.rows_of(names)))
 
     def frames(self, start: int = 0, stop: int | None = None) -> Generator[FrameSet]:
         """Frame sets as they come, numbered from `start` without gaps, up to `stop` or until the sources end.
