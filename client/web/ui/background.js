@@ -22,13 +22,13 @@ function choose(viewer, text) {
 
 /** What a menu shows of it. @param {Viewer} viewer @returns {HTMLElement[]} */
 export function backgroundItems(viewer) {
-  const label = Object.assign(document.createElement("label"), { textContent: "Background" });
-  const field = Object.assign(document.createElement("input"), { type: "color", value: `#${textOf(viewer.backdrop ?? viewer.renderer.background)}` });
+  const { painter } = viewer, label = Object.assign(document.createElement("label"), { textContent: "Background" });
+  const field = Object.assign(document.createElement("input"), { type: "color", value: `#${textOf(painter.backdrop ?? painter.renderer.background)}` });
   field.oninput = () => choose(viewer, field.value.slice(1));
   label.append(field);
-  const own = menuItem("Background as filmed", "", viewer.backdrop === null, () => {
+  const own = menuItem("Background as filmed", "", painter.backdrop === null, () => {
     choose(viewer, null);
-    field.value = `#${textOf(viewer.backdrop ?? viewer.renderer.background)}`;
+    field.value = `#${textOf(painter.backdrop ?? painter.renderer.background)}`;
     own.setAttribute("aria-pressed", "true");
   });
   field.addEventListener("input", () => own.setAttribute("aria-pressed", "false"));

@@ -41,7 +41,7 @@ const nextPicture = (viewer, version) => new Promise((resolve, reject) => {
  * @param {AbortSignal} signal
  */
 async function draw(viewer, timeline, path, { width, height, fps, count, goesOn }, tell, signal) {
-  const { canvas } = viewer, begin = timeline.position && timeline.strip.placeOf(timeline.position);
+  const { canvas, stance, painter } = viewer, begin = timeline.position && timeline.strip.placeOf(timeline.position);
   /** @type {Blob[]} */
   const pictures = [];
   let version = timeline.version;
@@ -54,13 +54,13 @@ async function draw(viewer, timeline, path, { width, height, fps, count, goesOn 
       await comes;
       ({ version } = to);
     }
-    viewer.pose = poseAt(path, i / fps) ?? viewer.pose;
+    stance.pose = poseAt(path, i / fps) ?? stance.pose;
     const comes = nextPicture(viewer, null);
-    viewer.lookFrom(viewer.pose);
+    viewer.lookFrom(stance.pose);
     await comes;
     [canvas.width, canvas.height] = [width, height];
-    viewer.renderer.draw({ ...viewer.view(), share: 1 });
-    pictures.push(await new Promise((resolve, reject) => viewer.renderer.canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("a picture of the film could not be kept"))), "image/webp", 0.95)));
+    painter.renderer.draw({ ...viewer.view(), share: 1 });
+    pictures.push(await new Promise((resolve, reject) => painter.renderer.canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("a picture of the film could not be kept"))), "image/webp", 0.95)));
     tell((i + 1) / count);
   }
   return pictures;
@@ -105,7 +105,7 @@ async function record(pictures, { width, height, fps }, signal) {
  * @returns {Promise<Blob>}
  */
 export async function film(viewer, timeline, path, format, tell, signal) {
-  const { pose, canvas } = viewer, stood = timeline.stands, wasLive = timeline.status?.mode === "live" && !timeline.recording;
+  const { canvas, stance } = viewer, { pose } = stance, stood = timeline.stands, wasLive = timeline.status?.mode === "live" && !timeline.recording;
   if (!stood) timeline.pause();
   viewer.presenting = true; // the page draws nothing meanwhile
   try {
@@ -116,7 +116,7 @@ export async function film(viewer, timeline, path, format, tell, signal) {
     viewer.presenting = false;
     [canvas.width, canvas.height] = [1, 1];
     viewer.resize();
-    viewer.moveTo(pose, false);
+    stance.moveTo(pose, false);
     if (!stood && wasLive) timeline.live();
     else if (!stood) timeline.play();
   }

@@ -20,7 +20,7 @@ export async function toggleFloating(viewer, tell) {
   const pane = /** @type {Pane} */ (await panes.requestWindow({ width: WIDTH, height }));
   pane.document.head.append(Object.assign(pane.document.createElement("style"), { textContent: STYLE }));
   pane.document.title = document.title;
-  const parts = [...new Set([viewer.renderer.canvas, canvas])], place = document.createComment("");
+  const parts = [...new Set([viewer.painter.renderer.canvas, canvas])], place = document.createComment("");
   canvas.after(place);
   pane.document.body.append(...parts);
   pane.addEventListener("resize", () => viewer.resize());

@@ -33,13 +33,13 @@ export class Flight {
 
   /** The opening shot of a visit: a small sweep while time goes on. */
   open() {
-    if (still.matches || this.stop || this.viewer.posed) return;
+    if (still.matches || this.stop || this.viewer.stance.posed) return;
     this.#sweep(OPENING_MS, OPENING_TURN, () => toast("Drag to look around"));
   }
 
   /** @param {number} ms @param {number} share - of the turns @param {() => void} then */
   #sweep(ms, share, then) {
-    const { viewer } = this, { pose, up } = viewer, range = turns(viewer.space, pose, up), { aim } = viewer, begin = performance.now();
+    const { viewer } = this, { stance } = viewer, { pose, up, aim } = stance, range = turns(stance.space, pose, up), begin = performance.now();
     const end = () => {
       this.stop = null;
       viewer.removeEventListener("frame", step);
@@ -47,9 +47,9 @@ export class Flight {
       then();
     };
     const step = () => {
-      if (viewer.aim !== aim) return end(); // somebody went elsewhere
+      if (stance.aim !== aim) return end(); // somebody went elsewhere
       const t = (performance.now() - begin) / ms;
-      viewer.drift(orbit(pose, up, share * turnAt(Math.min(t, 1), range), 0));
+      stance.drift(orbit(pose, up, share * turnAt(Math.min(t, 1), range), 0));
       if (t >= 1) end();
     };
     const byHand = () => this.stop?.();

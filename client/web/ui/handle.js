@@ -25,7 +25,7 @@ export function createHandle(viewer, timeline, delay, destroy) {
       return {
         phase: status?.phase ?? "connecting", source: status?.source ?? null, mode: status?.mode ?? "live",
         behindSeconds: status?.lagSeconds ?? null, latencyMs: delay.seconds === null ? null : Math.round(1000 * delay.seconds), fraction: status?.fraction ?? null, position: status?.position ?? null,
-        window: status?.window ?? null, version: picture?.version ?? null, splats: picture?.splats ?? 0, fps: viewer.fps, camera: toText(viewer.pose),
+        window: status?.window ?? null, version: picture?.version ?? null, splats: picture?.splats ?? 0, fps: viewer.pace.fps, camera: toText(viewer.stance.pose),
         viewers: viewer.watchers, sound: viewer.sound?.state ?? null,
       };
     },
@@ -59,9 +59,9 @@ export function createHandle(viewer, timeline, delay, destroy) {
     setCamera(camera) {
       const rig = typeof camera === "number" && viewer.scene?.cameras[camera], pose = rig ? null : fromText(String(camera));
       need(rig || pose, "no such camera");
-      viewer.posed = true;
-      if (pose) viewer.moveTo(pose, false);
-      else viewer.standAt(/** @type {any} */ (rig), false);
+      viewer.stance.posed = true;
+      if (pose) viewer.stance.moveTo(pose, false);
+      else viewer.stance.standAt(/** @type {any} */ (rig), false);
     },
     /** A PNG of what is seen. @returns {Promise<Blob>} */
     captureFrame: () => viewer.capture(),

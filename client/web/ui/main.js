@@ -82,11 +82,11 @@ async function start(viewer) {
   listenToParent(handle);
 
   const refresh = () => {
-    const { status } = viewer;
+    const { status } = viewer, { isLost } = viewer.painter;
     if (!status) return;
-    delay.show(status, viewer.isLost);
-    element("stage").toggleAttribute("data-lost", viewer.isLost); // browsers draw a canvas without graphics as a broken image
-    show(viewer.isLost ? lostGraphics(recording ? "Reload" : "Let the server draw") : words(status, viewer.picture !== null, retryAt - performance.now()));
+    delay.show(status, isLost);
+    element("stage").toggleAttribute("data-lost", isLost); // browsers draw a canvas without graphics as a broken image
+    show(isLost ? lostGraphics(recording ? "Reload" : "Let the server draw") : words(status, viewer.picture !== null, retryAt - performance.now()));
     timeline.update(status);
     if (timeline.stands) wake();
   };
@@ -141,13 +141,13 @@ async function start(viewer) {
   const heartbeat = setInterval(() => {
     quality.tick();
     if (viewer.status?.phase === "reconnecting") refresh();
-    delay.show(viewer.status, viewer.isLost);
+    delay.show(viewer.status, viewer.painter.isLost);
     if (!element("stats").hidden) fillStatistics(element("stats"), viewer, rates, delay.seconds);
     canvas.ariaDescription = describe(viewer, element("t-time").textContent ?? "");
   }, 500);
   let lastOutside = -1;
   viewer.addEventListener("frame", () => {
-    const far = viewer.presenting ? 0 : viewer.outside;
+    const far = viewer.presenting ? 0 : viewer.stance.outside;
     if (far === lastOutside) return;
     lastOutside = far;
     // What nobody filmed, in the scene's own colours; a filter of the canvas itself would let the page shine through at its border.
@@ -155,12 +155,12 @@ async function start(viewer) {
     button("b-back").hidden = far < BACK_AT;
   });
   button("b-back").onclick = () => goHome();
-  const goHome = () => viewer.home && viewer.moveTo(viewer.home);
+  const goHome = () => viewer.stance.home && viewer.stance.moveTo(viewer.stance.home);
   /** @param {number} index */
   const goTo = (index) => {
     const camera = viewer.scene?.cameras[index];
     if (!camera) return;
-    viewer.standAt(camera);
+    viewer.stance.standAt(camera);
     toast(camera.name);
     if (viewer.pictured.includes(camera.name)) showPicture(camera.name);
   };
@@ -180,7 +180,7 @@ async function start(viewer) {
   const drawThere = (thin) => {
     const swap = new URL(location.href);
     swap.searchParams.set("thin", thin ? "1" : "0");
-    swap.searchParams.set("camera", toText(viewer.pose));
+    swap.searchParams.set("camera", toText(viewer.stance.pose));
     location.assign(swap);
   };
   const statistics = () => {
@@ -212,7 +212,7 @@ async function start(viewer) {
   button("stream-name").onclick = () => showStreams(options);
   button("card-button").onclick = () => {
     const phase = viewer.status?.phase;
-    if (viewer.isLost && !recording) drawThere(true);
+    if (viewer.painter.isLost && !recording) drawThere(true);
     else if (phase === "reconnecting") viewer.tell({ type: "hurry" });
     else if (phase === "missing") showStreams(options);
     else if (phase === "denied") enterToken();
@@ -274,7 +274,7 @@ async function start(viewer) {
   if (options.has("path")) loadPaths();
 
   controls.mayDrift = () => quality.step === 0 && together.role === "apart" && !flight.stop && !paths?.stop && MOVING.includes(viewer.status?.phase ?? "");
-  if (!viewer.thin && !options.has("camera") && options.get("sway") !== "0" && (!viewer.software || options.get("sway") === "1")) {
+  if (!viewer.thin && !options.has("camera") && options.get("sway") !== "0" && (!viewer.painter.software || options.get("sway") === "1")) {
     viewer.addEventListener("picture", () => setTimeout(() => quality.step === 0 && flight.open(), OPENING_AFTER_MS), { once: true });
   }
   attachPhone(viewer);
@@ -283,10 +283,10 @@ async function start(viewer) {
   window.addEventListener("pagehide", () => clearInterval(heartbeat));
 
   const pose = fromText(options.get("camera"));
-  if (pose) viewer.steer(pose);
+  if (pose) viewer.stance.steer(pose);
   element("stage").toggleAttribute("data-thin", viewer.thin);
   const slow = () => toast("Drawn in software: turn on hardware acceleration for a smooth picture", 6000);
-  if (viewer.software) viewer.addEventListener("picture", slow, { once: true });
+  if (viewer.painter.software) viewer.addEventListener("picture", slow, { once: true });
 
   const wishes = quality.wishes();
   /** @type {import("./moments.js").Source} */

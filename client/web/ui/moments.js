@@ -23,7 +23,7 @@ class Moments {
   /** @param {number} version */
   seek(version) {
     this.wanted = version;
-    this.drawer.steer(this.viewer.pose);
+    this.drawer.stance.steer(this.viewer.stance.pose);
     this.drawer.tell({ type: "send", messages: [{ type: "pause" }, { type: "seek", to: { version } }] });
   }
 

@@ -69,7 +69,7 @@ export class Paths {
   add() {
     const { keys } = this.path, seconds = keys.length ? lengthOf(this.path) + STEP_SECONDS : 0;
     if (keys.length >= MAX_KEYS) return toast(`A path has at most ${MAX_KEYS} viewpoints`);
-    this.#set({ keys: [...keys, { seconds, camera: toText(this.viewer.pose), name: `View ${keys.length + 1}` }] });
+    this.#set({ keys: [...keys, { seconds, camera: toText(this.viewer.stance.pose), name: `View ${keys.length + 1}` }] });
   }
 
   /** Move along the path, or stop. */
@@ -79,8 +79,8 @@ export class Paths {
     if (path.keys.length < 2) return toast("A path needs two viewpoints");
     const step = () => {
       const t = (performance.now() - begin) / 1000, pose = poseAt(path, t);
-      viewer.posed = true;
-      if (pose) viewer.drift(pose);
+      viewer.stance.posed = true;
+      if (pose) viewer.stance.drift(pose);
       if (!path.loops && t >= lengthOf(path)) this.stop?.();
     };
     this.stop = () => {
@@ -124,7 +124,7 @@ export class Paths {
     const time = Object.assign(document.createElement("input"), { type: "number", min: "0", max: "3600", step: "0.5", value: String(key.seconds), ariaLabel: `Time of viewpoint ${i + 1}, seconds` });
     time.onchange = () => this.#edit(i, { seconds: Math.max(0, Number(time.value)) });
     const pose = fromText(key.camera);
-    const go = Object.assign(menuItem(String(i + 1), "", null, () => pose && this.viewer.moveTo(pose)), { title: "Go there" });
+    const go = Object.assign(menuItem(String(i + 1), "", null, () => pose && this.viewer.stance.moveTo(pose)), { title: "Go there" });
     go.setAttribute("aria-label", `Go to viewpoint ${i + 1}`);
     const away = menuItem("✕", "", null, () => this.#set({ keys: this.path.keys.filter((_, j) => j !== i) }));
     away.setAttribute("aria-label", `Remove viewpoint ${i + 1}`);

@@ -27,7 +27,7 @@ export function attachPhone(viewer) {
   window.addEventListener("pointerdown", ({ pointerType }) => use(pointerType === "touch"));
   window.addEventListener("keydown", () => use(false));
   const hint = () => classList.contains("touch") && toast(HINT, HINT_MS);
-  viewer.addEventListener("picture", () => setTimeout(hint, viewer.software ? AFTER_WARNING_MS : 0), { once: true });
+  viewer.addEventListener("picture", () => setTimeout(hint, viewer.painter.software ? AFTER_WARNING_MS : 0), { once: true });
 
   /** @type {WakeLockSentinel | null} */
   let lock = null;

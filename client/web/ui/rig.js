@@ -38,7 +38,7 @@ export class Rig {
     const { viewer } = this, cameras = this.shown ? (viewer.scene?.cameras ?? []) : [];
     this.cameras = cameras.map((camera, i) => {
       const name = Object.assign(document.createElement("button"), { textContent: camera.name, onclick: () => this.goTo(i) });
-      return { name, points: pyramid(camera, DEPTH * viewer.pose.distance) };
+      return { name, points: pyramid(camera, DEPTH * viewer.stance.pose.distance) };
     });
     element("rig").replaceChildren(element("rig-lines").parentElement ?? "", ...this.cameras.map(({ name }) => name));
     this.#place();

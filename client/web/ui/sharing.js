@@ -12,7 +12,7 @@ const REVOKE_MS = 10_000;
 function linkTo(viewer, moment) {
   const link = new URL(location.href), { searchParams } = link;
   for (const name of ["token", "t", "epoch"]) searchParams.delete(name);
-  searchParams.set("camera", toText(viewer.pose));
+  searchParams.set("camera", toText(viewer.stance.pose));
   const { picture, status } = viewer;
   if (moment && picture) {
     searchParams.set("t", String(picture.version));

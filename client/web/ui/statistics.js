@@ -29,13 +29,13 @@ export class Rates {
 
 /** @param {HTMLElement} list @param {import("../view/viewer.js").Viewer} viewer @param {Rates} rates @param {number | null} delaySeconds - from camera to screen */
 export function fillStatistics(list, viewer, rates, delaySeconds) {
-  const { picture, status, canvas, renderer } = viewer;
+  const { picture, status, canvas, painter: { renderer } } = viewer;
   const { fps, kilobits } = rates.now();
   /** @type {(value: number | undefined, unit: string, digits?: number) => string} */
   const number = (value, unit, digits = 1) => (value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`);
   const version = picture?.version, live = status?.source !== "recording";
   const rows = {
-    Drawing: number(viewer.fps, "fps", 0),
+    Drawing: number(viewer.pace.fps, "fps", 0),
     Stream: number(fps, "fps"),
     Data: number(kilobits / 1000, "Mbit/s", 2),
     Frame: version === undefined ? "–" : String(version),

@@ -61,7 +61,7 @@ export class Delay {
 }
 
 /** The picture in words. @param {import("../view/viewer.js").Viewer} viewer @param {string} time */
-export function describe({ scene, pose }, time) {
+export function describe({ scene, stance: { pose } }, time) {
   const nearest = scene?.cameras.reduce((a, b) => (distanceTo(pose.position, b) < distanceTo(pose.position, a) ? b : a), scene.cameras[0]);
   return `${element("status-text").textContent}, ${time}${nearest ? `, seen from near ${nearest.name}` : ""}`;
 }

@@ -25,7 +25,7 @@ export class Together {
     this.session = "";
     this.timer = 0;
     button("b-together").onclick = () => this.toggle();
-    viewer.addEventListener("steered", () => this.role === "following" && this.#leave("You look around by yourself again"));
+    viewer.stance.addEventListener("steered", () => this.role === "following" && this.#leave("You look around by yourself again"));
     viewer.addEventListener("status", () => this.#heard(viewer.status?.together ?? null));
   }
 
@@ -68,7 +68,7 @@ export class Together {
 
   #present() {
     if (!this.known?.mayPresent) return; // an edge that has lost its origin
-    const { pose: { position, rotation, distance, focal, stretch, shift }, status } = this.viewer, place = status?.position;
+    const { stance, status } = this.viewer, { position, rotation, distance, focal, stretch, shift } = stance.pose, place = status?.position;
     const at = status?.mode === "live" || !place ? { mode: "live" } : { mode: status.mode, ...place };
     // Who follows replays by itself, and needs to know now and then where.
     const moment = at.mode === "replay" && place ? [place.epoch, Math.floor(place.version / (APART_SECONDS * (status?.fps || 30)))] : at;
@@ -95,10 +95,10 @@ export class Together {
 
   /** Look and be where the presenter does. @param {Known} known */
   #follow({ view, at }) {
-    const { viewer } = this, { status, pose } = viewer, text = JSON.stringify([view, at]);
+    const { viewer } = this, { status, stance } = viewer, text = JSON.stringify([view, at]);
     if (!view || !at || text === this.led) return;
     this.led = text;
-    if (isRotation(view.rotation)) viewer.moveTo({ ...pose, ...view });
+    if (isRotation(view.rotation)) stance.moveTo({ ...stance.pose, ...view });
     const here = status?.position, there = "epoch" in at ? { epoch: at.epoch, version: at.version } : null;
     if (!there) {
       if (status?.mode !== "live") this.#send({ type: "seek", to: "live" });

@@ -70,13 +70,13 @@ export class Controls {
 
   /** Radians for a drag across the picture's height: across the rig, and a little more. */
   get #turn() {
-    const { space } = this.viewer;
+    const { space } = this.viewer.stance;
     return space ? Math.min(Math.max(2.6 * spread(space), MIN_TURN), MAX_TURN) : MAX_TURN;
   }
 
   /** Closer or farther, as far as things allow. @param {number} factor */
   #zoom(factor) {
-    const { pose, home } = this.viewer, nearest = Math.min(NEAREST * (home?.distance ?? 0), pose.distance);
+    const { pose, home } = this.viewer.stance, nearest = Math.min(NEAREST * (home?.distance ?? 0), pose.distance);
     return zoom(pose, Math.max(factor, nearest / pose.distance));
   }
 
@@ -102,16 +102,16 @@ export class Controls {
     const now = { x: event.clientX, y: event.clientY };
     const h = this.#height, dx = (now.x - before.x) / h, dy = (now.y - before.y) / h;
     this.travel += Math.hypot(now.x - before.x, now.y - before.y);
-    const { viewer } = this, turn = this.#turn;
+    const { stance } = this.viewer, turn = this.#turn;
     if (this.pointers.size >= 2) {
       const others = [...this.pointers].filter(([id]) => id !== event.pointerId).map(([, point]) => point);
       const was = Math.hypot(before.x - others[0].x, before.y - others[0].y);
       const is = Math.hypot(now.x - others[0].x, now.y - others[0].y);
-      viewer.steer(pan(this.#zoom(was / Math.max(is, 1)), -dx / 2, -dy / 2));
+      stance.steer(pan(this.#zoom(was / Math.max(is, 1)), -dx / 2, -dy / 2));
     } else if (this.panning) {
-      viewer.steer(pan(viewer.pose, -dx, -dy));
+      stance.steer(pan(stance.pose, -dx, -dy));
     } else {
-      viewer.steer(orbit(viewer.pose, viewer.up, -dx * turn, dy * turn));
+      stance.steer(orbit(stance.pose, stance.up, -dx * turn, dy * turn));
       const seconds = Math.max(event.timeStamp - this.last, 4) / 1000;
       const mix = Math.min(1, seconds * 20);
       this.spin.yaw += ((-dx * turn) / seconds - this.spin.yaw) * mix;
@@ -125,8 +125,8 @@ export class Controls {
   #up(event) {
     if (!this.pointers.delete(event.pointerId)) return;
     this.viewer.touched = this.pointers.size > 0;
-    if (!this.pointers.size && this.inside && this.viewer.outside > INSIDE) {
-      this.viewer.moveTo(this.inside); // as if held by a rubber band
+    if (!this.pointers.size && this.inside && this.viewer.stance.outside > INSIDE) {
+      this.viewer.stance.moveTo(this.inside); // as if held by a rubber band
       this.last = 0; // without inertia
     }
     if (this.panning || this.pointers.size || event.timeStamp - this.last > 60) this.spin = { yaw: 0, pitch: 0 };
@@ -140,26 +140,26 @@ export class Controls {
   #wheel(event) {
     if (!this.engaged) return;
     event.preventDefault();
-    const { viewer } = this, h = this.#height;
+    const { stance } = this.viewer, h = this.#height;
     const unitOf = event.deltaMode === 1 ? 16 : event.deltaMode === 2 ? h : 1;
-    if (event.shiftKey) viewer.steer(pan(viewer.pose, (event.deltaX * unitOf) / h, (event.deltaY * unitOf) / h));
-    else viewer.steer(this.#zoom(Math.exp(Math.min(Math.max(event.deltaY * unitOf * (event.ctrlKey ? 8 : 1), -400), 400) * WHEEL)));
+    if (event.shiftKey) stance.steer(pan(stance.pose, (event.deltaX * unitOf) / h, (event.deltaY * unitOf) / h));
+    else stance.steer(this.#zoom(Math.exp(Math.min(Math.max(event.deltaY * unitOf * (event.ctrlKey ? 8 : 1), -400), 400) * WHEEL)));
   }
 
   /** Turn to the surface under a point of the page and orbit around it. @param {number} clientX @param {number} clientY */
   async focus(clientX, clientY) {
-    const { viewer } = this, { canvas } = viewer;
+    const { viewer } = this, { canvas, stance } = viewer;
     const box = canvas.getBoundingClientRect();
     const { focal, principal, rotation: r } = viewer.view();
     const u = (((clientX - box.left) / box.width) * canvas.width - principal[0]) / focal[0];
     const v = (((clientY - box.top) / box.height) * canvas.height - principal[1]) / focal[1];
     const direction = unit([r[0] * u + r[3] * v + r[6], r[1] * u + r[4] * v + r[7], r[2] * u + r[5] * v + r[8]]);
-    const point = await viewer.ask("pick", viewer.pose.position, direction);
+    const point = await viewer.ask("pick", stance.pose.position, direction);
     if (!point) return;
-    viewer.posed = true;
-    const turned = focusOn(viewer.pose, point, viewer.up);
+    stance.posed = true;
+    const turned = focusOn(stance.pose, point, stance.up);
     const distance = turned.distance * 0.75;
-    viewer.moveTo({ ...turned, distance, position: add(point, /** @type {Vec3} */ (turned.rotation.slice(6, 9)), -distance) });
+    stance.moveTo({ ...turned, distance, position: add(point, /** @type {Vec3} */ (turned.rotation.slice(6, 9)), -distance) });
   }
 
   /** @param {KeyboardEvent} event @param {boolean} down */
@@ -175,7 +175,7 @@ export class Controls {
     if (!known) return;
     this.keys.add(known && (event.key === "+" || event.key === "=") ? "Plus" : event.key === "-" ? "Minus" : event.code);
     if (event.key === "+" || event.key === "=" || event.key === "-") {
-      this.viewer.steer(this.#zoom(event.key === "-" ? 1.12 : 1 / 1.12));
+      this.viewer.stance.steer(this.#zoom(event.key === "-" ? 1.12 : 1 / 1.12));
       this.keys.clear();
     }
     event.preventDefault();
@@ -183,19 +183,19 @@ export class Controls {
 
   /** A slow swing around the target while nobody touches anything. @param {number} now @param {number} seconds */
   #sway(now, seconds) {
-    const { viewer } = this, isIdle = document.body.classList.contains("idle");
-    if (!isIdle || !this.mayDrift() || this.still.matches || viewer.presenting || viewer.glide || document.body.classList.contains("still")) this.idleSince = 0;
+    const { presenting, stance } = this.viewer, isIdle = document.body.classList.contains("idle");
+    if (!isIdle || !this.mayDrift() || this.still.matches || presenting || stance.glide || document.body.classList.contains("still")) this.idleSince = 0;
     else this.idleSince ||= now;
     const idle = this.idleSince ? (now - this.idleSince) / 1000 - SWAY_AFTER_S : 0;
     if (idle <= 0) return;
     const rate = SWAY * Math.cos((2 * Math.PI * idle) / SWAY_PERIOD_S) * ((2 * Math.PI) / SWAY_PERIOD_S) * Math.min(1, idle / 4);
-    viewer.drift(orbit(viewer.pose, viewer.up, rate * seconds, 0));
+    stance.drift(orbit(stance.pose, stance.up, rate * seconds, 0));
   }
 
   /** @param {number} now */
   #frame(now) {
-    const { viewer } = this;
-    if (viewer.outside <= INSIDE && !viewer.glide) this.inside = viewer.pose;
+    const { stance } = this.viewer;
+    if (stance.outside <= INSIDE && !stance.glide) this.inside = stance.pose;
     const seconds = Math.min((now - (this.before ?? now)) / 1000, 0.1);
     this.before = now;
     /** @type {Vec3} */
@@ -211,16 +211,16 @@ export class Controls {
     if (pad) {
       const axes = [0, 1, 2, 3].map((i) => (Math.abs(pad.axes[i] ?? 0) > 0.15 ? pad.axes[i] : 0));
       walk = add(walk, [axes[0], (pad.buttons[6]?.value ?? 0) - (pad.buttons[7]?.value ?? 0), -axes[1]]);
-      if (axes[2] || axes[3]) viewer.steer(look(viewer.pose, viewer.up, axes[2] * 1.8 * seconds, -axes[3] * 1.8 * seconds));
+      if (axes[2] || axes[3]) stance.steer(look(stance.pose, stance.up, axes[2] * 1.8 * seconds, -axes[3] * 1.8 * seconds));
     }
     if (walk.some((x) => x !== 0)) {
-      const pace = WALK * viewer.pose.distance * seconds * (this.shift ? 2.5 : 1);
-      viewer.steer(fly(viewer.pose, [walk[0] * pace, walk[1] * pace, walk[2] * pace]));
+      const pace = WALK * stance.pose.distance * seconds * (this.shift ? 2.5 : 1);
+      stance.steer(fly(stance.pose, [walk[0] * pace, walk[1] * pace, walk[2] * pace]));
     }
-    if (yaw || pitch) viewer.steer(orbit(viewer.pose, viewer.up, yaw * 1.4 * seconds, pitch * 1.1 * seconds));
+    if (yaw || pitch) stance.steer(orbit(stance.pose, stance.up, yaw * 1.4 * seconds, pitch * 1.1 * seconds));
     this.#sway(now, seconds);
     if (!this.pointers.size && !this.still.matches && Math.hypot(this.spin.yaw, this.spin.pitch) > 0.02) {
-      viewer.steer(orbit(viewer.pose, viewer.up, this.spin.yaw * seconds, this.spin.pitch * seconds));
+      stance.steer(orbit(stance.pose, stance.up, this.spin.yaw * seconds, this.spin.pitch * seconds));
       const fade = Math.exp(-GLIDE * seconds);
       this.spin = { yaw: this.spin.yaw * fade, pitch: this.spin.pitch * fade };
     }

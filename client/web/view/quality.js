@@ -84,7 +84,7 @@ export class Quality {
   /** Twice a second: coarser where drawing is slow, finer where there is room. */
   tick() {
     this.resting = Math.max(0, this.resting - 1);
-    const fps = this.viewer.pace();
+    const fps = this.viewer.pace.sustained();
     if (fps === null || this.name === "high" || this.settling > 0) return;
     this.fast = fps > FAST_FPS ? this.fast + 1 : 0;
     if (fps < SLOW_FPS && this.slow === 0) this.#go(this.step + 1);
@@ -108,7 +108,7 @@ export class Quality {
 
   #apply() {
     const { viewer } = this, { resolution, share, warps = false } = this.#now;
-    viewer.warps = warps;
+    viewer.painter.warps = warps;
     viewer.resolution = resolution;
     viewer.share = share;
     viewer.resize();

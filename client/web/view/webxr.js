@@ -16,7 +16,7 @@ const DEAD = 0.2, PUSHED = 0.7; // shares of a stick's travel: less is ignored, 
 
 /** Where XR space lies in the scene. @typedef {{ axes: [Vec3, Vec3, Vec3], origin: Vec3, scale: number }} Stand */
 
-/** The scene upright, seen from where the page's viewer is. @type {(viewer: Viewer) => Stand} */
+/** The scene upright, seen from where the page's viewer is. @type {(stance: import("./stance.js").Stance) => Stand} */
 function standing({ pose, up }) {
   const level = (/** @type {Vec3} */ v) => add(v, up, -dot(v, up));
   const ahead = level(row(pose.rotation, 2));
@@ -44,14 +44,14 @@ function seen(stand, { transform, projectionMatrix: p }, width, height) {
 
 /** Must follow a click or a key. @param {Viewer} viewer @param {"immersive-vr" | "immersive-ar"} mode @returns {Promise<XRSession>} */
 export async function enter(viewer, mode) {
-  viewer.fallBack(); // headsets take pictures of WebGL2
-  const renderer = /** @type {import("./renderer.js").Renderer} */ (viewer.renderer), isSeeThrough = mode === "immersive-ar";
+  viewer.painter.fallBack(); // headsets take pictures of WebGL2
+  const renderer = /** @type {import("./renderer.js").Renderer} */ (viewer.painter.renderer), isSeeThrough = mode === "immersive-ar";
   const session = await /** @type {XRSystem} */ (navigator.xr).requestSession(mode);
   await renderer.gl.makeXRCompatible();
   const layer = new XRWebGLLayer(session, renderer.gl, { antialias: false, depth: false, alpha: isSeeThrough });
   await session.updateRenderState({ baseLayer: layer });
   const space = await session.requestReferenceSpace("local");
-  let stand = standing(viewer), before = 0, turning = false;
+  let stand = standing(viewer.stance), before = 0, turning = false;
 
   /** Sticks: left walks, right turns about the head. @type {(head: XRRigidTransform, seconds: number) => void} */
   const walk = (head, seconds) => {

@@ -577,7 +577,8 @@ test("outside of what the rig has seen: free in front, gone behind and far away,
 /** A screen that draws at a given rate, and what is told to the worker. */
 function screen(fps) {
   const told = [];
-  return { fps, told, resolution: 1, share: 1, levels: Infinity, pace() { return this.fps; }, resize() {}, viewChanged() {}, tell: (message) => told.push(message) };
+  const viewer = { fps, told, resolution: 1, share: 1, levels: Infinity, painter: {}, pace: { sustained: () => viewer.fps }, resize() {}, viewChanged() {}, tell: (message) => told.push(message) };
+  return viewer;
 }
 
 test("auto gives up resolution, then splats, at once where frames are late, and takes them back; levels it never gives up", () => {
@@ -650,16 +651,16 @@ test("a flight goes to one end of the rig, to the other, and back", () => {
 
 test("Auto that is too slow even with the fewest splats moves the last picture, and takes that back", () => {
   let pace = null;
-  const viewer = { warps: false, resize() {}, tell() {}, viewChanged() {}, pace: () => pace }, quality = new Quality(/** @type {any} */ (viewer), null);
+  const viewer = { painter: { warps: false }, resize() {}, tell() {}, viewChanged() {}, pace: { sustained: () => pace } }, quality = new Quality(/** @type {any} */ (viewer), null);
   for (let i = 0; i < 40 && !quality.isTooSlow; i++) quality.frame(300);
-  assert.ok(quality.isTooSlow && viewer.warps);
+  assert.ok(quality.isTooSlow && viewer.painter.warps);
   assert.match(quality.explain(), /last picture/);
   pace = 60;
   for (let i = 0; i < 60; i++) {
     quality.frame(10);
     quality.tick();
   }
-  assert.ok(!quality.isTooSlow && !viewer.warps);
+  assert.ok(!quality.isTooSlow && !viewer.painter.warps);
 });
 
 /** A matrix of 16 numbers, column by column, on a direction (w = 0) or a place (w = 1). */

@@ -28,7 +28,7 @@ HERE = Path(__file__).parent
 EYE = np.array([0.3, -0.2, -2.0])
 
 
-@pytest.mark.parametrize("name", ["modules", pytest.param("vectors", marks=pytest.mark.long)])
+@pytest.mark.parametrize("name", ["modules", "viewer", pytest.param("vectors", marks=pytest.mark.long)])
 def test_node(node: str, name: str) -> None:
     """The tests written in JavaScript."""
     done = subprocess.run(
