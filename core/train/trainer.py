@@ -28,6 +28,7 @@ from streamlod.core.train.growth.near_space import near_space
 from streamlod.core.train.keyframe.refresh import refresh_config
 from streamlod.core.train.keyframe.seeding import seed_field
 from streamlod.core.train.keyframe.trainer import KeyframeTrainer
+from streamlod.core.train.later_frame.autograd_engine import autograd_engine
 from streamlod.core.train.later_frame.frame import Means, train_later_frame
 from streamlod.core.train.later_frame.references import as_filmed
 from streamlod.core.train.later_frame.state import KnownPictures, State, fresh_state, no_pictures
@@ -185,6 +186,7 @@ class Trainer:
             config=self._config,
             plan=UNLIMITED if self._rate is None else self._rate.plan(),
             backend=self._backend,
+            engine_of=autograd_engine(self._backend),
             exposure=self._exposure,
             first_count=self._first_count,
             budget=self._budget,

@@ -23,14 +23,14 @@ from streamlod.core.initialise import first_points
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import TrainConfig, TrainedFrame, Trainer, preset
 from streamlod.core.train.keyframe.trainer import KeyframeTrainer
-from streamlod.core.train.later_frame.training import FrameTraining
+from streamlod.core.train.later_frame.autograd_engine import AutogradEngine
 from tests.device.fixture import on_gpu
 from tests.device.pretend import Counts, counted
 
 LAUNCH_SECONDS = 5e-6
 BANDWIDTH = {"H200": 4.8e12, "RTX 4070": 504e9, "RTX 4060 laptop": 256e9}  # bytes a second
 SHOWN = 12  # places with the most launches
-STEPS = ((KeyframeTrainer, "step"), (FrameTraining, "_step"))
+STEPS = ((KeyframeTrainer, "step"), (AutogradEngine, "step"))
 # Inside a first frame's step, but in one of many: anchors come and go, and how these are rounded is measured.
 REFINING = (
     (streamlod.core.train.keyframe.trainer, "precision_within"),

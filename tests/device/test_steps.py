@@ -10,7 +10,7 @@ from streamlod.core.render.backends import cuda_fault
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import Trainer, preset
 from streamlod.core.train.keyframe.trainer import KeyframeTrainer
-from streamlod.core.train.later_frame.training import FrameTraining
+from streamlod.core.train.later_frame.autograd_engine import AutogradEngine
 from tests.bench.launches_bench import measured
 from tests.core.true_points import true_points
 from tests.device.pretend import Counts, counted
@@ -35,13 +35,13 @@ def test_steps_do_not_wait(gpu: str, monkeypatch: pytest.MonkeyPatch) -> None:
         predict=replace(config.predict, epochs=4, minimum_steps=0),
     )
     steps = list[Counts]()
-    for trained, name in ((KeyframeTrainer, "step"), (FrameTraining, "_step")):
+    for trained, name in ((KeyframeTrainer, "step"), (AutogradEngine, "step")):
         whole = getattr(trained, name)
 
-        def watched(*arguments: object, whole: object = whole) -> object:
+        def watched(*arguments: object, whole: object = whole, **settings: object) -> object:
             assert callable(whole)
             with counted() as counts:
-                found: object = whole(*arguments)
+                found: object = whole(*arguments, **settings)
             steps.append(counts)
             return found
 

@@ -21,6 +21,7 @@ from streamlod.core.train.control.rate_control import RatePlan
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.later_frame.active_tiles import BORDER, mostly_active
 from streamlod.core.train.later_frame.comparison import Beginning, Comparison
+from streamlod.core.train.later_frame.engine import EngineMaker
 from streamlod.core.train.later_frame.part import FramePart
 from streamlod.core.train.later_frame.references import renewed_references
 from streamlod.core.train.later_frame.state import State
@@ -42,13 +43,15 @@ class Means:
 
     Attributes:
         config: of the stream. plan: of the rate control.
-        backend: of the rasteriser. exposure: of the cameras. first_count: anchors of the first frame since the start.
+        backend: of the rasteriser. engine_of: makes the engine of a frame. exposure: of the cameras.
+        first_count: anchors of the first frame since the start.
         budget: of time. watch: counts the time of each stage.
     """
 
     config: TrainConfig
     plan: RatePlan
     backend: Backend
+    engine_of: EngineMaker
     exposure: Exposure
     first_count: int
     budget: FrameBudget
@@ -91,7 +94,7 @@ def train_later_frame(state: State, views: Views, index: int, means: Means) -> L
         hooks = started(means.config.parts, seen, means.allows, watch)
         with watch.stage("train"):
             useful = _useful(coarse, config)
-            training = FrameTraining(seen, hooks, means.exposure, useful, means.backend, config)
+            training = FrameTraining(seen, hooks, means.exposure, useful, means.engine_of, config)
             generator = torch.Generator().manual_seed(means.config.seed + index)
             update = training.run(generator, means.pace)
     with watch.stage("round"):

@@ -84,7 +84,7 @@ def better_starts(guess: Tensor, training: FrameTraining) -> Tensor:
     worth = torch.zeros(len(guess), device=guess.device)
     for number in training.numbers:
         places = [_tinted(training.splats_at(number, start)) for start in (rest, guess)]
-        pictures, target = training.draw_two(number, *places), training.target(number)
+        pictures, target = training.engine.draw_two(number, *places), training.engine.target(number)
         error, guessed = ((picture.detach() - target).abs().sum(dim=2) for picture in pictures)
         for picture, splats in zip(pictures, places, strict=True):
             worth += _shown(picture, splats.colours, error - guessed, len(guess))

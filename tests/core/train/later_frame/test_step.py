@@ -74,10 +74,10 @@ def test_a_step_asks_the_device_for_nothing(monkeypatch: pytest.MonkeyPatch, vie
     monkeypatch.setattr(streamlod.core.render.cuda, "_gsplat", lambda: splat)
     trainer = on_meta(prepared(view_dependent))
     assert isinstance(trainer, FrameTraining)
-    trainer._step(0, 1.0)  # constants of the camera and of the tables are sent once
+    trainer.engine.step(0, 1.0, counts=False)  # constants of the camera and of the tables are sent once
     before = trainer.anchors.optimiser.parameters["latent"]
     with NoNumbers(), NoMemory():
-        loss, _ = trainer._step(0, 0.9)
+        loss, _ = trainer.engine.step(0, 0.9, counts=False)
     assert loss.device.type == "meta"
     assert trainer.anchors.optimiser.parameters["latent"] is before
 
@@ -93,7 +93,7 @@ def prepared(view_dependent: bool) -> FrameTraining:
     views = Views((camera,), torch.rand(1, HEIGHT, WIDTH, 3), [0])
     masks = torch.ones(1, HEIGHT, WIDTH, dtype=torch.bool)
     trainer = training_of(state, some, views, masks, backend="cuda", config=PredictConfig(rate_weight=0.005))
-    trainer._whole[0] = trainer._plan(trainer._seen.pictures, 0)
+    trainer.engine.plan(0)
     return trainer
 
 

@@ -19,6 +19,7 @@ from streamlod.core.scene.anchors import Scene
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import Trainer, preset
 from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.later_frame.autograd_engine import AutogradEngine
 from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.parts import USUAL, FlowSearch
 from streamlod.core.train.later_frame.parts.flow_search import better_starts, guessed_positions
@@ -40,16 +41,11 @@ def guess_of(moved: Moved) -> Tensor:
     return guessed_positions(moved.state, rows, pictures, 0.5)
 
 
-class Rendering(FrameTraining):
-    """All anchors of a state in training, each camera's picture drawn whole."""
+class Whole(AutogradEngine):
+    """Draws each camera's picture whole."""
 
     def __init__(self, moved: Moved) -> None:
-        self._moved, self.numbers = moved, list(range(len(RIG)))
-
-    def splats_at(self, number: int, position: Tensor) -> Splats:
-        field = self._moved.state.field
-        there = replace(field, position=field.position + position * step(self._moved))
-        return there.decode(torch.from_numpy(RIG[number].centre).float())
+        self._moved = moved
 
     def draw_two(self, number: int, first: Splats, second: Splats) -> tuple[Tensor, Tensor]:
         one, other = (
@@ -60,6 +56,18 @@ class Rendering(FrameTraining):
 
     def target(self, number: int) -> Tensor:
         return self._moved.views.targets[number]
+
+
+class Rendering(FrameTraining):
+    """All anchors of a state in training."""
+
+    def __init__(self, moved: Moved) -> None:
+        self._moved, self.numbers, self.engine = moved, list(range(len(RIG))), Whole(moved)
+
+    def splats_at(self, number: int, position: Tensor) -> Splats:
+        field = self._moved.state.field
+        there = replace(field, position=field.position + position * step(self._moved))
+        return there.decode(torch.from_numpy(RIG[number].centre).float())
 
 
 def test_flow_takes_most_anchors_to_where_they_went() -> None:
