@@ -27,8 +27,8 @@ LAYERS = {
         "camera", "frames", "scene", "render metrics data synthetic initialise", "train calibration",
     ),
     "core.train": (
-        "setting config pictures kernels control progress", "optimise loss", "field", "growth motion engine",
-        "keyframe later_frame", "paper", "presets", "trainer",
+        "setting config pictures kernels control progress", "optimise loss", "field", "growth motion",
+        "keyframe later_frame", "paper engine", "presets", "trainer",
     ),
     "server": (
         "protocol doctor", "ingest", "pipeline", "settings", "auth worker http", "stream", "viewer",

@@ -11,6 +11,7 @@ from typing import ClassVar, Literal
 from streamlod.core.train.setting import given, octree_gs, reading, setting
 
 LevelSelection = Literal["all", "distance"]
+Engine = Literal["autograd", "warp"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -294,6 +295,11 @@ class PredictConfig:
         "smallest change of grey value, in units of [0, 1], that counts as motion",
         reading(0.02, "not mentioned; where no picture changes at all, nothing is trained"),
     )
+    engine: Engine = setting(
+        "autograd",
+        "what takes the steps: torch's autograd over the rasteriser of the device, or NVIDIA Warp's recorded kernels",
+        reading("autograd", "not mentioned"),
+    )
     partition_interval: int = setting(
         1, "frames between partitions; 4 in the paper's star variant", given(1, "IV-D", "every frame is partitioned")
     )
@@ -306,10 +312,16 @@ class PartSettings:
     Attributes:
         name: of the part, by which its settings are reached.
         adds_anchors: whether later frames have more anchors by it.
+        needs_gradients: whether it asks how the loss pulls at Gaussians in the picture (`core.render.raster.Probe`).
     """
 
     name: ClassVar[str] = ""
     adds_anchors: ClassVar[bool] = False
+    needs_gradients: ClassVar[bool] = False
+
+    def most_added(self, alive: int) -> int:
+        """Anchors that the part may add to a frame of so many."""
+        return 0
 
 
 @dataclass(frozen=True, slots=True)

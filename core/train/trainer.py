@@ -21,6 +21,7 @@ from streamlod.core.scene.metadata import Metadata
 from streamlod.core.train.config import TrainConfig
 from streamlod.core.train.control.frame_budget import FrameBudget
 from streamlod.core.train.control.rate_control import UNLIMITED, RateControl
+from streamlod.core.train.engine.named import named_engine
 from streamlod.core.train.field.convert import motion_cell_of, scene_of
 from streamlod.core.train.field.exposure import exposure_of, fitted, neutral
 from streamlod.core.train.field.rendered import rendered
@@ -28,7 +29,6 @@ from streamlod.core.train.growth.near_space import near_space
 from streamlod.core.train.keyframe.refresh import refresh_config
 from streamlod.core.train.keyframe.seeding import seed_field
 from streamlod.core.train.keyframe.trainer import KeyframeTrainer
-from streamlod.core.train.later_frame.autograd_engine import autograd_engine
 from streamlod.core.train.later_frame.frame import Means, train_later_frame
 from streamlod.core.train.later_frame.references import as_filmed
 from streamlod.core.train.later_frame.state import KnownPictures, State, fresh_state, no_pictures
@@ -69,6 +69,7 @@ class Trainer:
         self._backend = select(device)
         self._rig = rig or cameras
         self._device = backends.GPU if self._backend == "cuda" else "cpu"
+        self._engine_of = named_engine(config, self._backend, self._device)
         self._exposure = neutral(len(cameras), self._device)
         self._refit_exposure = False
         self._first_count = 0  # anchors of the first frame since the start
@@ -186,7 +187,7 @@ class Trainer:
             config=self._config,
             plan=UNLIMITED if self._rate is None else self._rate.plan(),
             backend=self._backend,
-            engine_of=autograd_engine(self._backend),
+            engine_of=self._engine_of,
             exposure=self._exposure,
             first_count=self._first_count,
             budget=self._budget,

@@ -23,7 +23,7 @@ from streamlod.core.initialise import first_points
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import TrainConfig, TrainedFrame, Trainer, preset
 from streamlod.core.train.keyframe.trainer import KeyframeTrainer
-from streamlod.core.train.later_frame.autograd_engine import AutogradEngine
+from streamlod.core.train.later_frame.autograd.engine import AutogradEngine
 from tests.device.fixture import on_gpu
 from tests.device.pretend import Counts, counted
 

@@ -28,7 +28,7 @@ from streamlod.core.render.cpu.frame import backward, forward
 from streamlod.core.render.cpu.workspace import Workspace
 from streamlod.core.scene.gaussians import GaussianCloud
 from streamlod.core.train.field.decode import Splats
-from streamlod.core.train.later_frame.tile_cache import TileCache, make_tile_cache
+from streamlod.core.train.later_frame.autograd.tile_cache import TileCache, make_tile_cache
 from streamlod.core.train.loss.photometric import photometric_loss
 from tests.bench.parts import parts_parser, run_parts
 from tests.bench.raster_gpu import gpu_report

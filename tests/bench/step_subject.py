@@ -54,7 +54,7 @@ def make_step(sizes: Sizes, device: str, seed: int = 0) -> TrainingStep:
     load_cameras(room, cameras, neutral(sizes.cameras, device))
     feature, offset = 0.3 * torch.randn(12, FEATURES, generator=g), 0.1 * torch.randn(12, 3 * sizes.slots, generator=g)
     step = torch.full((sizes.moving,), 0.002, device=device)
-    load_anchors(room, moving, feature.to(device), offset.to(device), step)
+    load_anchors(room, moving, feature.to(device), offset.to(device), step, torch.full_like(step, 2.0))
     load_still(room, [still.decode(torch.zeros(3, device=device))])
     shape = (sizes.cameras, sizes.height, sizes.width, 3)
     smooth = torch.rand(sizes.cameras, 3, 9, 16, generator=g)
@@ -88,7 +88,9 @@ def _capacity(sizes: Sizes) -> Capacity:
         width=sizes.width,
         height=sizes.height,
         anchors=sizes.moving,
+        added=sizes.anchors // 50,
         slots=sizes.slots,
+        features=FEATURES,
         still=gaussians,
         moving_pairs=sizes.views * sizes.moving * sizes.slots * 8,
         still_pairs=sizes.cameras * gaussians * 4,

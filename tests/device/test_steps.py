@@ -10,7 +10,7 @@ from streamlod.core.render.backends import cuda_fault
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import Trainer, preset
 from streamlod.core.train.keyframe.trainer import KeyframeTrainer
-from streamlod.core.train.later_frame.autograd_engine import AutogradEngine
+from streamlod.core.train.later_frame.autograd.engine import AutogradEngine
 from tests.bench.launches_bench import measured
 from tests.core.true_points import true_points
 from tests.device.pretend import Counts, counted

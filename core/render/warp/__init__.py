@@ -1,1 +1,5 @@
 """The rasteriser in NVIDIA Warp: one source for CUDA and, slowly, for the CPU, where it is tested."""
+
+import warp as wp
+
+wp.config.log_level = wp.LOG_WARNING  # it writes to standard output which kernels it loads

@@ -39,10 +39,14 @@ class TileLists:
     pairs: int
 
     @property
+    def largest(self) -> int:
+        """The most pairs that there were so far, with those that had no room; waits for the device."""
+        return max(int(self.wanted.numpy()[0]), int(self.most.numpy()[0]))
+
+    @property
     def overflow(self) -> int:
         """Pairs by which the capacity was exceeded at most so far, 0 where all had room; waits for the device."""
-        most = max(int(self.wanted.numpy()[0]), int(self.most.numpy()[0]))
-        return max(most - self.pairs, 0)
+        return max(self.largest - self.pairs, 0)
 
 
 def grid_of(width: int, height: int) -> Any:

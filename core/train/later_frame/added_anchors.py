@@ -56,6 +56,30 @@ class AddedAnchors:
         return dict(zip(self._names, rounded, strict=True))
 
     @property
+    def node(self) -> Tensor:
+        """[n,3] world positions of their grid nodes."""
+        return self._node
+
+    @property
+    def numbers(self) -> Tensor:
+        """[n,F+3K+9] features, offsets, scalings and places from their nodes, in steps, before rounding."""
+        values = (self._parameters[f"new_{name}"].detach().flatten(1) for name in self._names)
+        return torch.cat(list(values), dim=1)
+
+    @property
+    def widths(self) -> Tensor:
+        """[n,F+3K+9] width of a step of each of `numbers`."""
+        return torch.cat([step.flatten(1) for step in self._steps], dim=1)
+
+    @torch.no_grad()
+    def adopt(self, numbers: Tensor) -> None:
+        """Take over `numbers` [n,F+3K+9] that were trained elsewhere."""
+        widths = [step.flatten(1).shape[1] for step in self._steps]
+        for name, values in zip(self._names, torch.split(numbers, widths, dim=1), strict=True):
+            parameter = self._parameters[f"new_{name}"]
+            parameter.copy_(values.reshape(parameter.shape))
+
+    @property
     def moved(self) -> Int32:
         """[n,3] steps from their nodes."""
         steps = self._parameters["new_position"].detach().nan_to_num(0.0, 0.0, 0.0).clamp(-MAX_STEPS, MAX_STEPS)

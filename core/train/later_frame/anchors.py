@@ -50,9 +50,25 @@ class TrainedAnchors:
         leaves = {name: torch.zeros(len(rows), width, device=device) for name, width in widths.items()}
         self.optimiser = RowAdam({name: value.requires_grad_() for name, value in leaves.items()}, memory)
         self._added: AddedAnchors | None = None
+        self._broken_elsewhere = 0
 
     def __len__(self) -> int:
         return len(self.base)
+
+    @property
+    def unit(self) -> UnitChange:
+        """What one step of their numbers changes."""
+        return self._unit
+
+    @property
+    def steps_a_pixel(self) -> Tensor:
+        """[n,1] position steps in which each goes a pixel."""
+        return self._steps_a_pixel
+
+    @property
+    def added(self) -> AddedAnchors | None:
+        """Those that the frame adds; None before it does."""
+        return self._added
 
     @property
     def moves(self) -> Tensor:
@@ -92,12 +108,30 @@ class TrainedAnchors:
         if len(new["level"]):
             self._added = AddedAnchors(new, self.base, self._scene, self.optimiser)
 
-    def step(self, config: PredictConfig, decay: float) -> None:
-        """Apply the gradients; rates have fallen to the share `decay`."""
+    def rates(self, config: PredictConfig, decay: float) -> dict[str, float]:
+        """How fast each parameter learns; rates have fallen to the share `decay`."""
         rates = {"latent": config.latent_rate, "position": config.position_rate}
         steps = config.position_rate * self._median_steps_a_pixel
         added = {} if self._added is None else self._added.rates(steps, decay)
-        self.optimiser.step({name: rate * decay for name, rate in rates.items()} | added)
+        return {name: rate * decay for name, rate in rates.items()} | added
+
+    def step(self, config: PredictConfig, decay: float) -> None:
+        """Apply the gradients; rates have fallen to the share `decay`."""
+        self.optimiser.step(self.rates(config, decay))
+
+    @torch.no_grad()
+    def adopt(self, latent: Tensor, position: Tensor, added: Tensor, broken: int) -> None:
+        """Take over what was trained elsewhere.
+
+        Args:
+            latent: [n,24]. position: [n,3] in pixels. added: [m,F+3K+9], see `AddedAnchors.numbers`.
+            broken: gradient entries that were not finite.
+        """
+        self.optimiser.parameters["latent"].copy_(latent)
+        self.optimiser.parameters["position"].copy_(position)
+        if self._added is not None:
+            self._added.adopt(added)
+        self._broken_elsewhere = broken
 
     @torch.no_grad()
     def settle(self) -> None:
@@ -125,7 +159,7 @@ class TrainedAnchors:
             added,
             steps,
             loss,
-            self.optimiser.broken,
+            self.optimiser.broken + self._broken_elsewhere,
         )
 
 

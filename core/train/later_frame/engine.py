@@ -1,6 +1,6 @@
 """Engines of later frames: the interface by which a frame draws its pictures and takes its training steps.
 
-`core.train.later_frame.autograd_engine` is the usual one, `core.train.engine.warp.frame_engine` the one whose steps are
+`core.train.later_frame.autograd.engine` is the usual one, `core.train.engine.warp.frame_engine` the one whose steps are
 recorded as a graph.
 """
 

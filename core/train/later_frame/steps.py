@@ -19,6 +19,14 @@ def steps_of(config: PredictConfig, masks: Tensor) -> int:
     From a fifth of the pixels on they grow with the square of the share that changed, up to `config.most_effort` times
     those configured.
     """
-    configured = max(config.epochs * len(masks), config.minimum_steps)
     effort = (float(masks.float().mean()) / _USUAL) ** 2 if masks.numel() else 1.0
-    return round(configured * max(min(effort, config.most_effort), 1.0))
+    return round(_configured(config, len(masks)) * max(min(effort, config.most_effort), 1.0))
+
+
+def most_steps(config: PredictConfig, cameras: int) -> int:
+    """Steps of a frame of which every pixel of all `cameras` changed."""
+    return round(_configured(config, cameras) * max(config.most_effort, 1.0))
+
+
+def _configured(config: PredictConfig, cameras: int) -> int:
+    return max(config.epochs * cameras, config.minimum_steps)

@@ -23,6 +23,7 @@ class PaperGrowth(FramePart):
 
     name: ClassVar[str] = "gradient_growth"
     adds_anchors: ClassVar[bool] = True
+    needs_gradients: ClassVar[bool] = True
 
     at: float = setting(
         0.3,

@@ -14,7 +14,7 @@ from streamlod.core.render.cpu.dirty_tiles import reached_tiles, touched_tiles
 from streamlod.core.render.tiles import TILE_HEIGHT, TILE_WIDTH, Box
 from streamlod.core.scene.gaussians import GaussianCloud
 from streamlod.core.train.field.decode import Splats
-from streamlod.core.train.later_frame.tile_cache import make_tile_cache
+from streamlod.core.train.later_frame.autograd.tile_cache import make_tile_cache
 from streamlod.core.train.loss.photometric import photometric_loss
 from streamlod.core.train.loss.region import loss_boxes
 from tests.core.render.scenes import NAMES, make_camera, make_cloud

@@ -20,11 +20,14 @@ from streamlod.core.train.field.field import Field
 from streamlod.core.train.loss.photometric import blurred_moments
 
 
-def load_anchors(room: StepRoom, base: Field, feature: Tensor, offset: Tensor, step: Tensor) -> None:
+def load_anchors(
+    room: StepRoom, base: Field, feature: Tensor, offset: Tensor, step: Tensor, steps_a_pixel: Tensor
+) -> None:
     """The anchors in training, as they were before the frame.
 
     Args:
         base: n anchors. feature [12,F], offset [12,3K]: the latents' decoders. step: [n] world units of a position's.
+        steps_a_pixel: [n]; positions are trained in pixels.
 
     Raises:
         ModelError: more anchors than there is room for.
@@ -41,8 +44,10 @@ def load_anchors(room: StepRoom, base: Field, feature: Tensor, offset: Tensor, s
     _fill(room.base.scale_size, size[:, 3:])
     _fill(room.base.node, base.position)
     _fill(room.base.step, step)
+    _fill(room.base.steps_a_pixel, steps_a_pixel)
     view_of(room.base.count)[0] = count
-    view_of(room.moving_count)[0] = count * capacity.slots
+    _fill(room.added.weight, hidden)
+    _fill(room.added.bias, network.hidden_bias)
     load_network(room, network, feature, offset, features)
     view_of(room.decoders.distance)[0] = base.reference_distance if base.view_dependent else 0.0
 
@@ -69,8 +74,10 @@ def load_network(room: StepRoom, network: Network, feature: Tensor, offset: Tens
 def load_still(room: StepRoom, splats: Sequence[Splats]) -> None:
     """Project and list the Gaussians that stand still: of each camera, or one set for all.
 
+    `room.still.overflow` tells by how many pairs of Gaussian and tile there are more than there is room for.
+
     Raises:
-        ModelError: more Gaussians, or pairs of Gaussian and tile, than there is room for.
+        ModelError: more Gaussians than there is room for.
     """
     most = max(map(len, splats))
     if most > room.capacity.still:
@@ -86,17 +93,13 @@ def load_still(room: StepRoom, splats: Sequence[Splats]) -> None:
     every = wp.array(list(range(room.capacity.cameras)), dtype=int, device=room.device)
     cameras = (every, sight.cameras, sight.grid, clean)
     list_gaussians(room.still, room.still_count, room.still_cloud, *cameras, room.device)
-    if room.still.overflow:
-        raise ModelError(
-            f"Gaussians that stand still reach {room.still.overflow} tiles more than the {room.still.pairs} that there "
-            "is room for"
-        )
 
 
 def load_cameras(room: StepRoom, cameras: Sequence[Camera], exposure: Exposure) -> None:
     """The rig; what lies behind everything is black, as the cameras expose it."""
     gain, offset = (value.detach().cpu().numpy() for value in (exposure.gain, exposure.offset))
     _fill(room.sight.cameras, torch.from_numpy(camera_rows(cameras, gain, offset, offset)))
+    _fill(room.as_filmed, torch.from_numpy(camera_rows(cameras, behind=offset)))
     centres = [torch.from_numpy(camera.centre).float() for camera in cameras]
     _fill(room.decoders.centre, torch.stack(centres))
 
@@ -106,22 +109,48 @@ def load_pictures(room: StepRoom, targets: Tensor, shown: Tensor, weights: Tenso
 
     All tiles become clean; cameras without a picture hold NaN, and no step may choose them.
     """
-    _fill(room.filmed.target, targets)
-    mean, square = blurred_moments(targets)
-    _fill(room.filmed.mean, mean)
-    _fill(room.filmed.square, square)
+    load_targets(room, targets)
     view_of(room.filmed.weight).copy_(torch.ones_like(targets[..., 0]) if weights is None else weights)
     _fill(room.sight.base, shown)
     room.sight.dirty.zero_()
 
 
+def load_targets(room: StepRoom, targets: Tensor) -> None:
+    """Pictures [C,H,W,3] that the cameras should show."""
+    _fill(room.filmed.target, targets)
+    mean, square = blurred_moments(targets)
+    _fill(room.filmed.mean, mean)
+    _fill(room.filmed.square, square)
+
+
 def begin(room: StepRoom, latent: Tensor, position: Tensor) -> None:
-    """Let training begin at `latent` [n,24] and `position` [n,3], without moments."""
-    t, count = room.trained, len(latent)
-    for array in (t.values, t.gradient, t.first, t.second, t.mean, t.totals, t.broken):
+    """Let training begin at `latent` [n,24] and `position` [n,3] pixels, without moments, nothing added."""
+    t = room.trained
+    for array in (t.values, t.gradient, t.first, t.second, t.mean, t.totals, t.broken, room.added.count):
         array.zero_()
     numbers = view_of(t.values).view(-1, 27)
-    numbers[:count] = torch.cat([latent, position], dim=1)
+    numbers[: len(latent)] = torch.cat([latent, position], dim=1)
+
+
+def add_anchors(room: StepRoom, node: Tensor, values: Tensor, width: Tensor) -> None:
+    """Let m new anchors be trained from now on.
+
+    Args:
+        node: [m,3] world positions of their grid nodes. values: [m,F+3K+9] their numbers, in steps of `width`, alike.
+
+    Raises:
+        ModelError: more than there is room for.
+    """
+    count, capacity = len(node), room.capacity
+    if count > capacity.added:
+        raise ModelError(f"{count} anchors are to be added, and there is room for {capacity.added}")
+    own = room.trained_added
+    for array in (own.first, own.second, own.mean):
+        array.zero_()
+    _fill(own.values, values)
+    _fill(room.added.node, node)
+    _fill(room.added.width, width)
+    view_of(room.added.count)[0] = count
 
 
 def _fill(array: object, values: Tensor) -> None:

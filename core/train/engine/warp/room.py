@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,9 @@ import warp as wp
 from streamlod.core.render.warp.kernels.rules import CAMERA_NUMBERS
 from streamlod.core.render.warp.listing import TileLists, cloud_room, grid_of, listing
 from streamlod.core.render.warp.pictures import DrawnViews, Sight, pictures
-from streamlod.core.scene.anchors import HIDDEN, LATENTS, OFFSET_LATENTS
+from streamlod.core.scene.anchors import HIDDEN, LATENTS, OFFSET_LATENTS, SCALINGS
 from streamlod.core.scene.entropy_model import magnitude_bits
+from streamlod.core.train.engine.warp.kernels.added import PULLS, Added
 from streamlod.core.train.engine.warp.kernels.layout import TOLD, TOTALS, AnchorBase, Decoders, vec12
 from streamlod.core.train.engine.warp.kernels.loss import Filmed, Planes
 from streamlod.core.train.loss.photometric import SIGMA, WINDOW
@@ -27,8 +28,9 @@ class Capacity:
 
     Attributes:
         views: pictures of a step. cameras: of the rig. width, height: of every picture, in pixels.
-        anchors: in training. slots: Gaussians of each.
-        still: Gaussians that stand still. moving_pairs, still_pairs: of a Gaussian and a tile, of all views, cameras.
+        anchors: in training. added: anchors that a frame may add, at least 1. slots: Gaussians of each.
+        features: F of an anchor. still: Gaussians that stand still.
+        moving_pairs, still_pairs: of a Gaussian and a tile, of all views, cameras.
         steps: of a frame. sees_views: whether the network sees the view.
     """
 
@@ -37,7 +39,9 @@ class Capacity:
     width: int
     height: int
     anchors: int
+    added: int
     slots: int
+    features: int
     still: int
     moving_pairs: int
     still_pairs: int
@@ -46,8 +50,18 @@ class Capacity:
 
     @property
     def numbers(self) -> int:
-        """Numbers that are trained."""
+        """Numbers of anchors that there are already."""
         return self.anchors * (LATENTS + 3)
+
+    @property
+    def numbers_added(self) -> int:
+        """Numbers of each anchor that is added (`kernels.added`)."""
+        return self.features + 3 * self.slots + SCALINGS + 3
+
+    @property
+    def gaussians(self) -> int:
+        """Those in training, with those that are added."""
+        return (self.anchors + self.added) * self.slots
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,14 +88,32 @@ class Trained:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class TrainedAdded:
+    """Numbers of the anchors that a frame adds.
+
+    Attributes:
+        values, first, second, mean: [M,F+3K+9] float32. pulls: [K,M,44], see `kernels.added`.
+    """
+
+    values: Any
+    first: Any
+    second: Any
+    mean: Any
+    pulls: Any
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class StepRoom:
-    """All arrays of a step, by what they are for."""
+    """All arrays of a step, by what they are for; `as_filmed` are the cameras for colours that are exposed already."""
 
     capacity: Capacity
     device: str
     base: Any
+    added: Any
     decoders: Any
     trained: Trained
+    trained_added: TrainedAdded
+    as_filmed: Any
     cloud: Any
     by_cloud: Any
     still_cloud: Any
@@ -103,7 +135,6 @@ def step_room(capacity: Capacity, device: str) -> StepRoom:
     """Take the memory."""
     c, grid = capacity, grid_of(capacity.width, capacity.height)
     own = c.views if c.sees_views else 1
-    gaussians = c.anchors * c.slots
     window = np.exp(-((np.arange(WINDOW) - WINDOW // 2) ** 2) / (2 * SIGMA**2))
 
     def zeros(shape: int | tuple[int, ...], dtype: Any = float) -> Any:
@@ -120,17 +151,20 @@ def step_room(capacity: Capacity, device: str) -> StepRoom:
         capacity=c,
         device=device,
         base=_anchor_base(c, zeros),
+        added=_added(c, zeros),
         decoders=_decoders(c, zeros),
         trained=_trained(c, zeros),
-        cloud=cloud_room(own, gaussians, device),
-        by_cloud=cloud_room(own, gaussians, device),
+        trained_added=_trained_added(c, zeros),
+        as_filmed=zeros((c.cameras, CAMERA_NUMBERS)),
+        cloud=cloud_room(own, c.gaussians, device),
+        by_cloud=cloud_room(own, c.gaussians, device),
         still_cloud=cloud_room(c.cameras if c.sees_views else 1, c.still, device),
         still_count=zeros(1, int),
         moving_count=zeros(1, int),
-        moving=listing(c.views, gaussians, c.moving_pairs, grid, device),
+        moving=listing(c.views, c.gaussians, c.moving_pairs, grid, device),
         still=listing(c.cameras, c.still, c.still_pairs, grid, device),
         sight=sight,
-        drawn=pictures(c.views, gaussians, grid, device),
+        drawn=pictures(c.views, c.gaussians, grid, device),
         filmed=_filmed(c, zeros),
         lines=_planes(c, zeros),
         slopes=_planes(c, zeros),
@@ -138,6 +172,15 @@ def step_room(capacity: Capacity, device: str) -> StepRoom:
         window=wp.array((window / window.sum()).astype(np.float32), dtype=float, device=device),
         table=wp.array(magnitude_bits(_LARGEST_MAGNITUDE), dtype=float, device=device),
     )
+
+
+def room_beside(room: StepRoom, width: int, height: int, moving_pairs: int, still_pairs: int) -> StepRoom:
+    """Memory for steps on pictures of another size that train the same numbers as those in `room`."""
+    capacity = replace(room.capacity, width=width, height=height, moving_pairs=moving_pairs, still_pairs=still_pairs)
+    own = step_room(capacity, room.device)
+    shared = ("base", "added", "decoders", "trained", "trained_added", "cloud", "by_cloud", "still_cloud")
+    counts = ("still_count", "moving_count")
+    return replace(own, **{name: getattr(room, name) for name in (*shared, *counts)})
 
 
 def view_of(array: Any) -> torch.Tensor:
@@ -150,8 +193,22 @@ def _anchor_base(c: Capacity, zeros: Any) -> Any:
     base.count = zeros(1, int)
     base.hidden, base.offset = zeros((c.anchors, HIDDEN)), zeros((c.anchors, c.slots), wp.vec3)
     base.offset_size, base.scale_size = zeros(c.anchors, wp.vec3), zeros(c.anchors, wp.vec3)
-    base.node, base.step = zeros(c.anchors, wp.vec3), zeros(c.anchors)
+    base.node = zeros(c.anchors, wp.vec3)
+    base.step, base.steps_a_pixel = zeros(c.anchors), zeros(c.anchors)
     return base
+
+
+def _added(c: Capacity, zeros: Any) -> Any:
+    added = Added()
+    added.count, added.node = zeros(1, int), zeros(c.added, wp.vec3)
+    added.width = zeros((c.added, c.numbers_added))
+    added.weight, added.bias = zeros((c.features, HIDDEN)), zeros(HIDDEN)
+    return added
+
+
+def _trained_added(c: Capacity, zeros: Any) -> TrainedAdded:
+    values, first, second, mean = (zeros((c.added, c.numbers_added)) for _ in range(4))
+    return TrainedAdded(values, first, second, mean, zeros((c.slots, c.added, PULLS)))
 
 
 def _decoders(c: Capacity, zeros: Any) -> Any:

@@ -16,6 +16,7 @@ from streamlod.core.render.warp.kernels.lanes import LANES
 from streamlod.core.render.warp.listing import list_gaussians
 from streamlod.core.render.warp.pictures import differentiate, draw
 from streamlod.core.train.engine.warp.kernels.adam import adam
+from streamlod.core.train.engine.warp.kernels.added import adam_added, decode_added, differentiate_added
 from streamlod.core.train.engine.warp.kernels.decode import decode, differentiate_decode
 from streamlod.core.train.engine.warp.kernels.layout import TOLD
 from streamlod.core.train.engine.warp.kernels.loss import blur_moments, blur_slopes, compare, differentiate_loss
@@ -87,7 +88,10 @@ class TrainingStep:
         r, t = self.room, self.room.trained
         c = r.capacity
         given = [t.values, r.base, r.decoders, r.sight.chosen, r.cloud, t.steps, t.rows, t.totals]
-        wp.launch(decode, dim=(r.cloud.means.shape[0], c.anchors, c.slots), inputs=given, device=r.device)
+        own = r.cloud.means.shape[0]
+        wp.launch(decode, dim=(own, c.anchors, c.slots), inputs=given, device=r.device)
+        new = [r.trained_added.values, r.base, r.added, r.decoders, r.sight.chosen, r.cloud, r.moving_count]
+        wp.launch(decode_added, dim=(own, c.added, c.slots), inputs=new, device=r.device)
 
     def judge(self) -> None:
         """From pictures to the loss and its gradient by their pixels."""
@@ -108,12 +112,18 @@ class TrainingStep:
         differentiate(r.moving, r.still, r.sight, r.drawn, r.moving_count, r.cloud, r.by_cloud, r.device)
         given = [t.values, r.base, r.decoders, r.sight.chosen, r.cloud, r.by_cloud, t.pulls]
         wp.launch(differentiate_decode, dim=(c.anchors, c.slots), inputs=given, device=r.device)
+        new = [r.trained_added.values, r.base, r.added, r.decoders, r.sight.chosen, r.cloud, r.by_cloud]
+        to_new = [*new, r.trained_added.pulls]
+        wp.launch(differentiate_added, dim=(c.added, c.slots), inputs=to_new, device=r.device)
         gathered = [t.values, r.base, t.steps, t.rows, r.table, t.pulls, r.told, t.totals, t.gradient]
         wp.launch(gather, dim=(c.anchors, LANES), inputs=gathered, device=r.device)
 
     def update(self) -> None:
         """Adam, the mean of the last steps, and the loss put down."""
-        r, t = self.room, self.room.trained
+        r, t, new = self.room, self.room.trained, self.room.trained_added
+        c = r.capacity
+        added = [r.added, new.pulls, r.told, new.first, new.second, new.values, new.mean, t.broken]
+        wp.launch(adam_added, dim=(c.added, c.numbers_added), inputs=added, device=r.device)
         moments = [t.gradient, t.first, t.second, t.values, t.mean]
         given = [r.told, *moments, t.broken, t.totals, t.losses]
-        wp.launch(adam, dim=r.capacity.numbers, inputs=given, device=r.device)
+        wp.launch(adam, dim=c.numbers, inputs=given, device=r.device)

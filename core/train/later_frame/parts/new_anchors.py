@@ -41,6 +41,10 @@ class AnchorGrowth(FramePart):
         left_out(_WHY),
     )
 
+    def most_added(self, alive: int) -> int:
+        """As `PartSettings.most_added`."""
+        return int(self.share * alive)
+
     def begin(self, seen: Beginning) -> Hooks:
         """As `FramePart.begin`."""
         most = allowed(seen, self.share, self.room)

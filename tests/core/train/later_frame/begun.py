@@ -14,8 +14,9 @@ from streamlod.core.render.backends import Backend
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.train.config import ModelConfig, PredictConfig, TrainConfig
 from streamlod.core.train.field.exposure import neutral
-from streamlod.core.train.later_frame.autograd_engine import autograd_engine
+from streamlod.core.train.later_frame.autograd.engine import autograd_engine
 from streamlod.core.train.later_frame.comparison import Beginning, Comparison
+from streamlod.core.train.later_frame.engine import EngineMaker
 from streamlod.core.train.later_frame.frame import started
 from streamlod.core.train.later_frame.part import FramePart
 from streamlod.core.train.later_frame.state import KnownPictures, State, fresh_state
@@ -54,9 +55,12 @@ def training_of(
     max_new: int = PLENTY,
     bit_price: float = 0.0,
     backend: Backend = "cpu",
+    engine_of: EngineMaker | None = None,
     config: PredictConfig = USUAL,
 ) -> FrameTraining:
     """Training of the anchors `trained` [N], by all usable cameras."""
     seen = beginning_of(state, trained, views, masks, max_new=max_new, bit_price=bit_price)
     hooks = started(parts, seen, lambda stage: True, Stopwatch())
-    return FrameTraining(seen, hooks, neutral(len(views.cameras)), list(views.usable), autograd_engine(backend), config)
+    return FrameTraining(
+        seen, hooks, neutral(len(views.cameras)), list(views.usable), engine_of or autograd_engine(backend), config
+    )

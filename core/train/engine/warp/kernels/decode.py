@@ -62,7 +62,7 @@ def decode(
         return
     z = integers(values, a * NUMBERS)
     far = integers(values, a * NUMBERS + 12)
-    go = going(values, a)
+    go = going(values, base, a)
     place = base.node[a] + wp.vec3(dead_zone(go[0]), dead_zone(go[1]), dead_zone(go[2])) * base.step[a]
     view = seen_from(decoders, place, chosen[d])
     opacity = decoders.opacity[HIDDEN_UNITS, k]
@@ -115,7 +115,7 @@ def differentiate_decode(
     if a >= base.count[0]:
         return
     z = integers(values, a * NUMBERS)
-    go = going(values, a)
+    go = going(values, base, a)
     place = base.node[a] + wp.vec3(dead_zone(go[0]), dead_zone(go[1]), dead_zone(go[2])) * base.step[a]
     i = a * base.offset.shape[1] + k
     to_feature = vec12()

@@ -13,11 +13,12 @@ HIDDEN_UNITS = wp.constant(HIDDEN)
 DEAD_ZONE = wp.constant(DEFAULT_OFFSET)
 
 # What a step is told, in float32: learning rates over Adam's first correction, one over its second, one minus both
-# betas, weight of this step in the mean, weight of a bit, share of D-SSIM, place where the loss is written.
+# betas, weight of this step in the mean, weight of a bit, share of D-SSIM; of new anchors the rates of features,
+# offsets, scalings and places over Adam's first correction, and one over its second; place where the loss is written.
 RATE_LATENT, RATE_POSITION, INVERSE_SECOND = (wp.constant(k) for k in range(3))
 NEWS_FIRST, NEWS_SECOND, MEAN_WEIGHT, PRICE = (wp.constant(k) for k in range(3, 7))
-DSSIM_WEIGHT, PLACE = wp.constant(7), wp.constant(8)
-TOLD = 9
+DSSIM_WEIGHT, NEW_RATES, NEW_INVERSE_SECOND, PLACE = wp.constant(7), wp.constant(8), wp.constant(12), wp.constant(13)
+TOLD = 14
 
 # What a step adds up: quantised magnitudes of all latents and of all positions, loss of the pictures, bits.
 SUM_LATENTS, SUM_POSITIONS, SUM_LOSS, SUM_BITS = (wp.constant(k) for k in range(4))
@@ -35,6 +36,7 @@ class AnchorBase:
         hidden: [N,32] what the network's hidden units get from the feature, bias included, before activation.
         offset: [N,K]. offset_size, scale_size: [N] exp of both halves of the scaling.
         node: [N] world positions. step: [N] world units of a position's step.
+        steps_a_pixel: [N] positions are trained in pixels, and sent in steps.
     """
 
     count: wp.array[int]
@@ -44,6 +46,7 @@ class AnchorBase:
     scale_size: wp.array[wp.vec3]
     node: wp.array[wp.vec3]
     step: wp.array[float]
+    steps_a_pixel: wp.array[float]
 
 
 @wp.struct
@@ -85,10 +88,10 @@ def integers(values: wp.array[float], first: int) -> vec12:
 
 
 @wp.func
-def going(values: wp.array[float], a: int) -> wp.vec3:
+def going(values: wp.array[float], base: AnchorBase, a: int) -> wp.vec3:
     """Steps that an anchor goes."""
     first = a * NUMBERS + LATENT_COUNT
-    return wp.vec3(values[first], values[first + 1], values[first + 2])
+    return wp.vec3(values[first], values[first + 1], values[first + 2]) * base.steps_a_pixel[a]
 
 
 @wp.func

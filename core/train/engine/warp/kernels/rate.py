@@ -108,6 +108,8 @@ def gather(
         pull = told[PRICE] * wp.where(value > 0.0, slope, wp.where(value < 0.0, -slope, 0.0))
         for s in range(pulls.shape[0]):
             pull += pulls[s, a, n]
+        if n >= LATENT_COUNT:
+            pull *= base.steps_a_pixel[a]
         gradient[a * NUMBERS + n] = pull
     bits = lanes_sum(bits)
     if is_first_lane():

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from streamlod.core.train.engine.warp.kernels import adam, decode, loss, rate
+from streamlod.core.train.engine.warp.kernels import adam, added, decode, loss, rate
 from tests.device.cubins import ARCHITECTURES, usage
 
 pytestmark = pytest.mark.long  # compiling the kernels takes a minute
 
-MODULES = {module.__name__.split(".")[-1]: module for module in (adam, decode, loss, rate)}
+MODULES = {module.__name__.split(".")[-1]: module for module in (adam, added, decode, loss, rate)}
 # Registers; 64 for the others. Decoding happens once a Gaussian and not once a pixel: latency matters little.
-MOST = {"decode": 128, "differentiate_decode": 128}
+MOST = {"decode": 128, "differentiate_decode": 128, "differentiate_added": 128}
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from streamlod.core.train.engine.warp.frame import begin, load_pictures
-from streamlod.core.train.engine.warp.frame_steps import FrameSteps, StepSettings, told
+from streamlod.core.train.engine.warp.frame_steps import FrameSteps, StepSettings, mark_reached, told
 from streamlod.core.train.engine.warp.room import view_of
 from streamlod.core.train.engine.warp.step import TrainingStep
 from streamlod.core.train.optimise.adam import RowAdam
@@ -22,9 +22,9 @@ MIDDLE = Sizes(anchors=300, moving=12, slots=4, width=96, height=54, cameras=3)
 def test_numbers_are_the_mean_of_the_steps_that_count() -> None:
     frame = small_frame()
     room = frame.loaded(1)
-    steps, seen = FrameSteps(TrainingStep(room), (), frame.latent, frame.position), []
+    step, steps, seen = TrainingStep(room), FrameSteps(room, frame.latent, frame.position), []
     for number in range(6):
-        loss = steps.take((number % 3,), SETTINGS, counts=number >= 3)
+        loss = steps.take(step, (number % 3,), SETTINGS, counts=number >= 3)
         assert loss.isfinite()
         seen.append(view_of(room.trained.values).view(-1, 27).clone())
     mean, found = torch.stack(seen[3:]).mean(dim=0)[: len(frame.latent)], steps.numbers()
@@ -35,7 +35,7 @@ def test_adam_is_told_what_the_usual_one_works_out() -> None:
     frame = small_frame()
     room = frame.loaded(1)
     step = TrainingStep(room)
-    steps = FrameSteps(step, (), frame.latent, frame.position)
+    steps = FrameSteps(room, frame.latent, frame.position)
     leaf = torch.cat([frame.latent, frame.position], dim=1).requires_grad_()
     usual = RowAdam({"latent": leaf}, SETTINGS.memory)
     rate = StepSettings(0.3, 0.3, SETTINGS.memory, PRICE, DSSIM)
@@ -48,7 +48,7 @@ def test_adam_is_told_what_the_usual_one_works_out() -> None:
         leaf.grad = flat.view(-1, 27)[: len(leaf)].clone()
         flat.zero_()
         view_of(room.trained.totals).zero_()
-        steps.take((number % 3,), rate, counts=False)
+        steps.take(step, (number % 3,), rate, counts=False)
         usual.step({"latent": rate.latent_rate})
     found = steps.numbers()
     assert torch.allclose(torch.cat([found.latent, found.position], dim=1), leaf.detach(), rtol=1e-4, atol=1e-4)
@@ -63,9 +63,11 @@ def test_a_picture_with_clean_tiles_is_the_whole_picture(known: tuple[int, ...])
     load_pictures(room, 0.5 * shown, shown, None)
     g = torch.Generator().manual_seed(0)
     position = 60 * torch.randn(MIDDLE.moving, 3, generator=g)
-    steps = FrameSteps(step, known, torch.randn(MIDDLE.moving, 24, generator=g), position)
+    mark_reached(step, MIDDLE.moving)
+    dirty[[number not in known for number in range(MIDDLE.cameras)]] = 1
+    steps = FrameSteps(room, torch.randn(MIDDLE.moving, 24, generator=g), position)
     for number in range(6):
-        steps.take((number % MIDDLE.cameras,), SETTINGS, counts=False)
+        steps.take(step, (number % MIDDLE.cameras,), SETTINGS, counts=False)
     clean = dirty == 0
     assert clean[0].any()
     assert bool(clean[1].any()) == (1 in known)

@@ -19,7 +19,7 @@ from streamlod.core.scene.anchors import Scene
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import Trainer, preset
 from streamlod.core.train.field.decode import Splats
-from streamlod.core.train.later_frame.autograd_engine import AutogradEngine
+from streamlod.core.train.later_frame.autograd.engine import AutogradEngine
 from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.parts import USUAL, FlowSearch
 from streamlod.core.train.later_frame.parts.flow_search import better_starts, guessed_positions

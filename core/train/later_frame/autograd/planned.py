@@ -10,7 +10,7 @@ from torch import Tensor
 from streamlod.core.render.backends import Backend
 from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.later_frame.comparison import Comparison
-from streamlod.core.train.later_frame.tile_cache import TileCache, make_tile_cache
+from streamlod.core.train.later_frame.autograd.tile_cache import TileCache, make_tile_cache
 from streamlod.core.train.pictures.boxes import tiles_near
 
 

@@ -1,0 +1,37 @@
+"""The engine that a configuration names, and whether it can train it here."""
+
+from __future__ import annotations
+
+import importlib.util
+
+from streamlod.core.errors import BackendUnavailable, InputError
+from streamlod.core.render.backends import Backend
+from streamlod.core.train.config import TrainConfig
+from streamlod.core.train.later_frame.autograd.engine import autograd_engine
+from streamlod.core.train.later_frame.engine import EngineMaker
+
+_SETTING = "setting predict.engine"
+
+
+def named_engine(config: TrainConfig, backend: Backend, device: str) -> EngineMaker:
+    """Engines of later frames.
+
+    Args:
+        backend: that draws for the usual engine. device: ``cpu`` or ``cuda``.
+
+    Raises:
+        InputError: the method has something in it that the engine does not know.
+        BackendUnavailable: the engine needs a package that is not installed.
+    """
+    if config.predict.engine == "autograd":
+        return autograd_engine(backend)
+    if config.model.selection == "distance":
+        raise InputError(_SETTING, "warp draws all levels: set model.selection=all, or predict.engine=autograd")
+    for part in config.parts:
+        if part.needs_gradients:
+            raise InputError(_SETTING, f"warp knows no part {part.name}: leave it out, or set predict.engine=autograd")
+    if importlib.util.find_spec("warp") is None:
+        raise BackendUnavailable("the engine warp", "install streamlod[cuda], or set predict.engine=autograd")
+    from streamlod.core.train.engine.warp.frame_engine import warp_engine
+
+    return warp_engine(device)

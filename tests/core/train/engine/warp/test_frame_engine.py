@@ -1,0 +1,116 @@
+"""Whole later frames by recorded steps: those of the usual engine, within what rounding and order make of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from streamlod.client.evaluation.measure.scores import draw
+from streamlod.codec.encoder import encode_residual
+from streamlod.core.data import Dataset
+from streamlod.core.errors import InputError
+from streamlod.core.metrics import psnr
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import TrainConfig, Trainer, preset
+from streamlod.core.train.presets.settings import Value, with_settings
+from tests.core.true_points import true_points
+
+pytestmark = pytest.mark.long  # compiling the kernels takes a minute
+
+ENGINES = ("autograd", "warp")
+SMALL: dict[str, Value] = {"keyframe.steps": 150, "predict.epochs": 8, "predict.minimum_steps": 0}
+CLIPS: dict[str, tuple[SyntheticSpec, dict[str, Value]]] = {
+    "as usual": (SyntheticSpec(cameras=4, frames=4, width=96, height=54, seed=2), {}),
+    "more moves": (SyntheticSpec(cameras=4, frames=3, width=144, height=81, seed=5), {}),
+    "the network sees the view": (
+        SyntheticSpec(cameras=3, frames=3, width=96, height=54, seed=7),
+        {"model.view_dependent": True},
+    ),
+    "half size first": (SyntheticSpec(cameras=3, frames=2, width=400, height=300, seed=3), {"predict.epochs": 5}),
+}
+
+
+@dataclass(frozen=True)
+class Run:
+    """Later frames: mean PSNR at the cameras that trained, bytes, anchors added, and steps."""
+
+    psnr: float
+    size_bytes: int
+    added: int
+    steps: int
+
+
+@cache
+def clip_of(name: str) -> tuple[Dataset, TrainConfig, Scene]:
+    """A clip, its settings, and its first frame trained."""
+    spec, changes = CLIPS[name]
+    clip, config = open_synthetic(spec), with_settings(preset("live"), SMALL | changes)
+    first = next(iter(clip.frames()))
+    return clip, config, Trainer(clip.cameras, config, clip.fps, "cpu").keyframe(first, true_points(spec)).scene
+
+
+def trainer_of(name: str, engine: str) -> Trainer:
+    clip, config, scene = clip_of(name)
+    trainer = Trainer(clip.cameras, with_settings(config, {"predict.engine": engine}), clip.fps, "cpu")
+    trainer.resume(scene)
+    return trainer
+
+
+@cache
+def run_of(name: str, engine: str) -> Run:
+    clip, trainer = clip_of(name)[0], trainer_of(name, engine)
+    size_bytes = added = steps = 0
+    for frame in list(clip.frames())[1:]:
+        before = trainer.scene
+        done = trainer.predict(frame)
+        assert done.residual is not None
+        size_bytes += len(encode_residual(before, done.residual, time_ns=frame.index))
+        added += sum(len(level.added) for level in done.residual.levels)
+        steps += done.report.steps
+    shown = [draw(trainer.scene, camera) for camera in clip.cameras]
+    return Run(float(np.mean(list(map(psnr, shown, frame.images)))), size_bytes, added, steps)
+
+
+@pytest.mark.parametrize("name", CLIPS)
+def test_frames_are_those_of_the_usual_engine(name: str) -> None:
+    usual, warp = (run_of(name, engine) for engine in ENGINES)
+    assert usual.steps == warp.steps > 0
+    assert abs(usual.psnr - warp.psnr) < 0.05
+
+
+def test_bytes_are_those_of_the_usual_engine_and_anchors_are_added() -> None:
+    usual, warp = ([run_of(name, engine) for name in CLIPS] for engine in ENGINES)
+    assert sum(run.size_bytes for run in warp) == pytest.approx(sum(run.size_bytes for run in usual), rel=0.02)
+    added = [sum(run.added for run in runs) for runs in (usual, warp)]
+    assert min(added) > 0
+    assert added[1] == pytest.approx(added[0], rel=0.2)
+
+
+def test_a_camera_that_comes_late_is_trained_too() -> None:
+    name = "as usual"
+    frames, psnrs = list(clip_of(name)[0].frames()), []
+    for engine in ENGINES:
+        trainer = trainer_of(name, engine)
+        present = np.array([True, True, True, False])
+        trainer.predict(replace(frames[1], present=present))
+        done = trainer.predict(frames[2])
+        psnrs.append(psnr(draw(done.scene, clip_of(name)[0].cameras[3]), frames[2].images[3]))
+    assert abs(psnrs[0] - psnrs[1]) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        ({"model.selection": "distance"}, "model.selection=all"),
+        ({"parts": "gradient_growth"}, "no part gradient_growth"),
+    ],
+)
+def test_what_the_engine_does_not_know_is_refused(changes: dict[str, Value], what: str) -> None:
+    clip, config, _ = clip_of("as usual")
+    config = with_settings(config, changes | {"predict.engine": "warp"})
+    with pytest.raises(InputError, match=what):
+        Trainer(clip.cameras, config, clip.fps, "cpu")
