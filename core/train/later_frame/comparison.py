@@ -12,8 +12,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from streamlod.core.arrays import Bool
 from streamlod.core.train.config import TrainConfig
 from streamlod.core.train.later_frame.state import KnownPictures, State
+from streamlod.core.train.pictures.boxes import tiles_near
 from streamlod.core.train.pictures.views import Views, halved_pictures
 
 _HALVED_FROM = 300  # rows of a picture; of smaller ones too little is left
@@ -46,6 +48,10 @@ class Comparison:
         return Comparison(
             views, masks, KnownPictures(*map(halved_pictures, (known.references, known.filmed, known.shown)))
         )
+
+    def changed_tiles(self, number: int) -> Bool:
+        """[tiles_y,tiles_x] bool: tiles in which pixels of camera `number` changed."""
+        return tiles_near(self.masks[number].cpu().numpy(), 0)
 
     def differences(self) -> Tensor:
         """[C] squared difference of changed pixels from the references, summed over pixels, mean over channels."""

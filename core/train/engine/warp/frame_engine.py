@@ -19,7 +19,6 @@ from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.engine import EngineMaker, FrameTask
 from streamlod.core.train.later_frame.steps import most_steps
-from streamlod.core.train.pictures.boxes import tiles_near
 
 _LOG = logging.getLogger(__name__)
 
@@ -155,7 +154,7 @@ class WarpEngine:
         mark_reached(step, len(anchors))
         dirty = view_of(room.sight.dirty)
         reached = dirty.any(dim=1).tolist()
-        changed = [tiles_near(mask, 0).ravel() for mask in pictures.masks.cpu().numpy()]
+        changed = [pictures.changed_tiles(number).ravel() for number in range(len(dirty))]
         dirty |= torch.from_numpy(np.stack(changed)).to(dirty)
         dirty[shown[:, 0, 0, 0].isnan()] = 1
         return [bool(found) for found in reached]

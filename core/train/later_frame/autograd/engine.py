@@ -8,9 +8,9 @@ from torch import Tensor
 from streamlod.core.render.backends import Backend
 from streamlod.core.render.raster import Raster
 from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.later_frame.autograd.planned import PlannedView, planned_view
 from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.engine import EngineMaker, FrameTask
-from streamlod.core.train.later_frame.autograd.planned import PlannedView, planned_view
 from streamlod.core.train.loss.photometric import photometric_loss
 
 

@@ -9,9 +9,8 @@ from torch import Tensor
 
 from streamlod.core.render.backends import Backend
 from streamlod.core.train.field.decode import Splats
-from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.autograd.tile_cache import TileCache, make_tile_cache
-from streamlod.core.train.pictures.boxes import tiles_near
+from streamlod.core.train.later_frame.comparison import Comparison
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +63,6 @@ def planned_view(
     weights = None
     if changed_weight:
         weights = (1 + changed_weight * mask[..., None].to(target.dtype)).expand(-1, -1, 3).contiguous()
-    active = tiles_near(mask.cpu().numpy(), 0)
+    active = pictures.changed_tiles(number)
     cache = make_tile_cache(pictures.views.cameras[number], trained, static, background, backend, active, known)
     return PlannedView(target, known, weights, cache)

@@ -13,8 +13,8 @@ from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import scene_of
 from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.rendered import rendered
-from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.autograd.planned import PlannedView, planned_view
+from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.state import KnownPictures, State
 from streamlod.core.train.pictures.views import Views
 from tests.core.train.fields import random_field
