@@ -4,7 +4,7 @@ Run it first on the day that a GPU is there. Every part writes its figures to a 
 when the program is run again with that file; `--device cpu --small` tries the program itself where there is none.
 
 Parts: the device; correctness (kernels against float64, compute-sanitizer); steps launched and replayed, kernel by
-kernel; whole pictures drawn; memory.
+kernel; whole pictures drawn; whole later frames by both engines; memory.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ import warp as wp
 
 from streamlod.core.train.engine.warp.room import view_of
 from streamlod.core.train.engine.warp.step import TrainingStep
+from tests.bench.gpu_frames import frame_figures
 from tests.bench.step_subject import Sizes, make_step, told, work
 
 TESTS = ("tests/core/render/warp", "tests/core/train/engine/warp")
@@ -147,12 +148,18 @@ def drawing(device: str, sizes: Sizes) -> Figures:
     return {"Gaussians": step.room.still_count.numpy()[0].item(), "pictures a second": 1e3 * sizes.views / each}
 
 
+def frames(device: str, sizes: Sizes) -> Figures:
+    """Whole later frames, by autograd over the rasteriser of the device and by recorded steps."""
+    return frame_figures(device, sizes.width, sizes.height, sizes.cameras, 40 if sizes == SMALL else 600)
+
+
 PARTS: dict[str, Callable[[str, Sizes], Figures]] = {
     "device": device_part,
     "correctness": correctness,
     "steps": steps_part,
     "all views": all_views,
     "drawing": drawing,
+    "frames": frames,
     "sanitizer": sanitizer,
 }
 
