@@ -16,7 +16,7 @@ from streamlod.client.connection.address import live_address
 from streamlod.client.connection.link import WatchOptions
 from streamlod.client.inspection import describe_file
 from streamlod.client.recording import decode_frames, decode_version, versions
-from streamlod.client.viewing import record_stream
+from streamlod.client.viewing.record import record_stream
 from streamlod.client.viewpoints import CameraPath, along, camera_named, orbit, read_path, read_poses
 from streamlod.codec.export import bake, write_snapshot
 from streamlod.codec.snapshots import CLIP_SUFFIXES, FORMATS, PACKET_SUFFIXES, formats_called

@@ -39,7 +39,7 @@ LAYERS = {
         "knocks poses walk", "rig", "live recording",
     ),
     "client": (
-        "recording events viewpoints recorder rest_answers", "rest playback", "connection film_sound",
+        "recording events viewpoints recorder rest_answers", "rest playback", "connection",
         "inspection viewing", "evaluation", "commands", "remote",
     ),
 }  # fmt: skip
@@ -57,7 +57,8 @@ LIGHT_CLIENT = {
     "viewpoints",
     "recorder",
     "recording",
-    "viewing",
+    "take",
+    "record",
     "events",
     "inspection",
 }
@@ -194,7 +195,7 @@ def test_the_ground_floor_needs_no_training_library() -> None:
     [
         "codec.encoder",
         "codec.export",
-        "client.viewing",
+        "client.viewing.record",
         "server.cli.main",
     ],
 )

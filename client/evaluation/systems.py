@@ -107,6 +107,26 @@ class _FirstFrame:
     cpu_seconds: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _TestedFrame:
+    """A trained frame and what it is measured against.
+
+    Attributes:
+        trained: the frame.
+        before: the state before; None for the first frame.
+        training, testing: pictures of the cameras that trained, and of those held out.
+        cpu_seconds: processor time of its training.
+        peak_bytes: memory that the first frame's training took at most.
+    """
+
+    trained: TrainedFrame
+    before: Scene | None
+    training: FrameSet
+    testing: FrameSet
+    cpu_seconds: float
+    peak_bytes: int
+
+
 @dataclass(slots=True)
 class FirstFrames:
     """Trained first frames of one split, shared by configurations that differ only in how later frames are trained."""
@@ -185,31 +205,30 @@ def run_system(
     scores: list[TrainedScore] = []
     peak, scene, truth = 0, None, None
     stood: dict[str, Any] = {}
-    run = _trained_frames(config, footage, first_frames, frozen)
-    for trained, before, training, testing, first_peak, seconds in run:
-        peak, scene = max(peak, first_peak), trained.scene
+    for frame in _trained_frames(config, footage, first_frames, frozen):
+        trained, before, testing = frame.trained, frame.before, frame.testing
+        peak, scene = max(peak, frame.peak_bytes), trained.scene
         if not testing.present.all():
             _log.warning("frame %d is not measured: a held-out camera delivered nothing", testing.index)
             continue
         cameras, truth, index = footage.testing.cameras, testing.images, testing.index
         if not scores:
-            stood = _at_cameras(scene, footage, training, spec, by_distance=by_distance)  # compiling is not timed
+            stood = _at_cameras(scene, footage, frame.training, spec, by_distance=by_distance)  # compiling is not timed
         networks = perception if index in perceived else None
         picture, drawn = score(scene, cameras, truth, networks, by_distance=by_distance)
         moving = moving_score(drawn, truth, movers.masks(index, truth), networks.alex if networks else None)
-        size = packet_size(before, scene, trained.residual)
-        motion = None
-        if before is None or trained.residual is None:
-            shannon = shannon_keyframe_bytes(scene)
-        else:
-            shannon = shannon_residual_bytes(before, trained.residual)
-            if spec is not None:
-                dynamic = (
-                    np.zeros(sum(map(len, before.levels)), np.bool_) if trained.dynamic is None else trained.dynamic
-                )
-                rig = footage.training
-                motion = dynamic_precision_recall(spec, before, dynamic, index, rig.cameras, rig.calibrated)
-        scores.append(TrainedScore(index, picture, size, shannon, trained.report, seconds, motion, moving))
+        scores.append(
+            TrainedScore(
+                index,
+                picture,
+                packet_size(before, scene, trained.residual),
+                _shannon_bytes(frame),
+                trained.report,
+                frame.cpu_seconds,
+                _motion(frame, footage, spec),
+                moving,
+            )
+        )
     if scene is None or truth is None:
         raise ModelError("no frame could be measured: the held-out cameras delivered nothing")
     caps = tuple(
@@ -220,6 +239,23 @@ def run_system(
     return SystemRun(
         config.seed, footage.training.fps, tuple(scores), caps, truth[0], drawn[0], peak, scene.anchor_count, stood
     )
+
+
+def _shannon_bytes(frame: _TestedFrame) -> float:
+    """The usual estimate of what a frame costs."""
+    if frame.before is None or frame.trained.residual is None:
+        return shannon_keyframe_bytes(frame.trained.scene)
+    return shannon_residual_bytes(frame.before, frame.trained.residual)
+
+
+def _motion(frame: _TestedFrame, footage: Footage, spec: SyntheticSpec | None) -> MotionScore | None:
+    """A later frame's dynamic set against the truth; None where there is no truth."""
+    before, dynamic, rig = frame.before, frame.trained.dynamic, footage.training
+    if before is None or frame.trained.residual is None or spec is None:
+        return None
+    if dynamic is None:
+        dynamic = np.zeros(sum(map(len, before.levels)), np.bool_)
+    return dynamic_precision_recall(spec, before, dynamic, frame.testing.index, rig.cameras, rig.calibrated)
 
 
 def _at_cameras(
@@ -236,9 +272,8 @@ def _at_cameras(
 
 def _trained_frames(
     config: TrainConfig, footage: Footage, first_frames: FirstFrames, frozen: bool
-) -> Iterator[tuple[TrainedFrame, Scene | None, FrameSet, FrameSet, int, float]]:
-    """Every frame: itself, the state before, pictures of the training, held-out ones, peak memory of the first frame,
-    processor seconds."""
+) -> Iterator[_TestedFrame]:
+    """Every frame, in order."""
     trainer = _trainer(footage, config, first_frames.device)
     peak = 0
     for training, testing in footage.pairs():
@@ -251,16 +286,17 @@ def _trained_frames(
                 # from itself, which makes its pictures the reference; what that trained is dropped.
                 trainer.predict(training)
                 trainer.resume(first.scene, keep_references=True)
-            yield first, None, training, testing, peak, seconds
+            yield _TestedFrame(first, None, training, testing, seconds, peak)
         elif frozen:
             before = trainer.scene
             after = replace(before, version=training.index)
             trainer.resume(after)
-            yield TrainedFrame(after, difference(before, after), _NO_TRAINING), before, training, testing, peak, 0.0
+            stood = TrainedFrame(after, difference(before, after), _NO_TRAINING)
+            yield _TestedFrame(stood, before, training, testing, 0.0, peak)
         else:
             before, begin = trainer.scene, time.process_time()
             trained = trainer.predict(training)
-            yield trained, before, training, testing, peak, time.process_time() - begin
+            yield _TestedFrame(trained, before, training, testing, time.process_time() - begin, peak)
 
 
 def _trainer(footage: Footage, config: TrainConfig, device: str) -> Trainer:

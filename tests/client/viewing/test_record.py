@@ -21,7 +21,7 @@ from websockets.sync.server import serve as serve_in_threads
 
 from streamlod.client.commands import view
 from streamlod.client.connection.link import SUBPROTOCOL, WatchOptions
-from streamlod.client.viewing import record_stream
+from streamlod.client.viewing.record import record_stream
 from streamlod.codec.encoder import encode_keyframe, encode_residual
 from streamlod.codec.packet.levels import split_levels
 from streamlod.core.arrays import UInt8
@@ -110,7 +110,7 @@ def test_what_a_server_has_kept_ends_where_no_camera_films(
     state: str,
 ) -> None:
     """A film of it all is whole then. Who watches live waits for the cameras instead, here until the server ends."""
-    monkeypatch.setattr("streamlod.client.viewing._GONE_SECONDS", 0.5)
+    monkeypatch.setattr("streamlod.client.viewing.record._GONE_SECONDS", 0.5)
     data, is_gone = packets(states(4)), "camera phone1 is lost"
 
     async def stream(socket: ServerConnection) -> None:

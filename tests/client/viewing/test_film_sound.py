@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from streamlod.client.commands import view
-from streamlod.client.film_sound import add_sound
 from streamlod.client.recorder import open_recorder
+from streamlod.client.viewing.film_sound import add_sound
 from streamlod.codec.sound.beside import sound_beside
 from streamlod.codec.sound.opus import SAMPLE_RATE, write_sound
 from streamlod.core.data.video.sound import filmed_sound, sound_channels

@@ -13,24 +13,18 @@ from streamlod.client.connection.address import live_address
 from streamlod.client.connection.link import WatchOptions
 from streamlod.client.connection.watch import watch
 from streamlod.client.events import Event, NewScene, Notice, Welcome
-from streamlod.client.film_sound import fetch_and_add
-from streamlod.client.recorder import Recorder, is_film, open_recorder
+from streamlod.client.recorder import is_film
+from streamlod.client.viewing.film_sound import fetch_and_add
+from streamlod.client.viewing.take import Take, Tell
 from streamlod.client.viewpoints import CameraPath
-from streamlod.core.arrays import UInt8
-from streamlod.core.camera import Camera
 from streamlod.core.errors import FilmCutShort, InputError, SessionError
-from streamlod.core.gaps import MAX_GAP_SECONDS
-from streamlod.core.render.splatter import Splatter, draw_cloud, shown_at
 from streamlod.core.scene.anchors import SceneHeader
-from streamlod.core.scene.interpolate import can_interpolate, interpolate
 
 _LOG = logging.getLogger(__name__)
 _WHOLE_SECONDS = 10.0  # that the first picture may wait for all levels of its scene
 _QUIET_SECONDS = 2.0  # a stream that has ended is over when no packet comes for so long
 _GONE_SECONDS = 30.0  # that a film of what a server has kept waits for more, where none may come
 _WITHOUT_PICTURES = ("idle", "starting", "degraded")  # states of a stream in which no picture may ever come
-
-Tell = Callable[[str], None]
 
 
 async def record_stream(
@@ -69,21 +63,22 @@ async def record_stream(
         FilmCutShort: either of them after the first picture; the recording is whole and holds those before it.
     """
     options = options or WatchOptions()
-    take = _Take(out, viewpoint, frames, fps, tell, options)
+    take = Take(out, viewpoint, frames, fps, tell)
+    reception = _Reception(take, options, tell)
     cut: FilmCutShort | None = None
     try:
         async with aclosing(watch(url, options)) as events:
             while not take.is_full:
                 try:
-                    async with asyncio.timeout(take.patience):
+                    async with asyncio.timeout(reception.patience):
                         event = await anext(events)
                 except TimeoutError:
-                    take.explain_end()
+                    reception.explain_end()
                     break
                 except StopAsyncIteration:
                     break
-                await take.handle(event)
-        await take.draw_kept()
+                await reception.handle(event)
+        await reception.draw_kept()
     except BaseException as error:
         if take.count == 0 or not isinstance(error, InputError | SessionError):
             take.close(error)
@@ -95,57 +90,34 @@ async def record_stream(
     take.close(None)
     if take.count == 0:
         raise InputError(url, "the stream ended before it had a picture")
-    if take.has_sound and is_film(out):
+    if reception.has_sound and is_film(out):
         await asyncio.to_thread(fetch_and_add, live_address(url), options.token, out, take.filmed_ns, take.fps)
     if cut is not None:
         raise cut
     return take.count
 
 
-class _Take:
-    """A recording in progress."""
+class _Reception:
+    """Listens to a stream, and puts those of its states into the take that belong there.
 
-    def __init__(
-        self,
-        out: Path,
-        viewpoint: Callable[[SceneHeader], CameraPath],
-        frames: int | None,
-        fps: float | None,
-        tell: Tell,
-        options: WatchOptions,
-    ) -> None:
-        self._out, self._viewpoint, self._frames, self._fps, self._tell = out, viewpoint, frames, fps, tell
+    Attributes:
+        has_sound: whether there is sound to add to a film.
+    """
+
+    def __init__(self, take: Take, options: WatchOptions, tell: Tell) -> None:
+        self._take, self._tell = take, tell
         self._levels = options.levels  # asked for; None for all
         self._is_of_the_past = options.start is not None
         self._kept: NewScene | None = None  # the newest state without all levels, before the first picture
         self._begin_by = float("inf")
-        self._splatter = Splatter()
-        self._recorder: Recorder | None = None
-        self._path: CameraPath | None = None
-        self._stream_fps = self._film_fps = 1.0  # known with the first state
-        self._place = -1  # of the newest state in the stream, in frames
-        self._keeps_time = fps is not None or is_film(out)
-        self.newest: NewScene | None = None
-        self.count = 0
-        self.filmed_ns: list[int | None] = []  # of each picture; None once the stream is over
-        self.has_sound = False
         self._state = self._detail = ""  # of the stream, in the server's words
         self._caught_up: float | None = None  # since when nothing new has come to what the server has kept
-
-    @property
-    def fps(self) -> float:
-        """Pictures a second of the recording."""
-        return self._film_fps
-
-    @property
-    def is_full(self) -> bool:
-        """Whether there are as many pictures as are wanted."""
-        return self._frames is not None and self.count >= self._frames
+        self.has_sound = False
 
     @property
     def patience(self) -> float | None:
         """Seconds that the next event is waited for; None without end."""
-        if self._state == "ended" and (self.newest or self._kept) is not None:
+        if self._state == "ended" and (self._take.newest or self._kept) is not None:
             return _QUIET_SECONDS
         if self._caught_up is not None and self._state in _WITHOUT_PICTURES:
             return max(0.0, self._caught_up + _GONE_SECONDS - time.monotonic())
@@ -157,18 +129,11 @@ class _Take:
             why = f"{self._state}: {self._detail}" if self._detail else self._state
             _LOG.warning("the stream is %s; nothing new came for %.0f s, so it ends here", why, _GONE_SECONDS)
 
-    def moves(self) -> bool:
-        """Whether the next picture would be taken from another viewpoint than the last one."""
-        if self._path is None:
-            return False
-        before, after = self._path(self.count - 1), self._path(self.count)
-        return bool((before.world_to_camera != after.world_to_camera).any())
-
     async def handle(self, event: Event) -> None:
         """Draw a new scene; report other events."""
         if isinstance(event, NewScene):
             if not self._kept_back(event):
-                await self.draw(event)
+                await self._take.draw(event)
             self._caught_up = None if self._caught_up is None else time.monotonic()
         elif isinstance(event, Welcome):
             self.has_sound = event.has_sound
@@ -184,6 +149,11 @@ class _Take:
         elif isinstance(event, Notice) and event.name == "progress":
             self._tell(f"first frame {100 * float(event.fields.get('fraction') or 0):.0f} %")
 
+    async def draw_kept(self) -> None:
+        """Draw what is here of a stream that was over before all levels of a state were."""
+        if self._take.newest is None and self._kept is not None:
+            await self._take.draw(self._kept)
+
     def _enter(self, state: str, detail: str = "") -> None:
         """The stream is in that state now."""
         self._state, self._detail = state, detail
@@ -193,62 +163,8 @@ class _Take:
         """Keep a first state of which more levels are to come soon; whether it was kept."""
         count = len(event.scene.levels)
         now = time.monotonic()
-        if self.count > 0 or event.levels >= min(count, self._levels or count) or now > self._begin_by:
+        if self._take.count > 0 or event.levels >= min(count, self._levels or count) or now > self._begin_by:
             return False
         self._begin_by = min(self._begin_by, now + _WHOLE_SECONDS)
         self._kept = event
         return True
-
-    async def draw_kept(self) -> None:
-        """Draw what is here of a stream that was over before all levels of a state were."""
-        if self.newest is None and self._kept is not None:
-            await self.draw(self._kept)
-
-    async def draw(self, event: NewScene) -> None:
-        """The pictures after the state before, up to and with the moment of this one."""
-        is_over = event is self.newest
-        before, self.newest = self.newest or event, event
-        path, recorder = self._opened(event.scene.header)
-        step = self._frames_between(before, event)
-        self._place += step
-        while not self.is_full and (place := self.count * self._stream_fps / self._film_fps) <= self._place:
-            share = 1 + (place - self._place) / step
-            recorder.add(await asyncio.to_thread(self._picture, before, event, share, path(self.count)))
-            self.filmed_ns.append(None if is_over else _filmed_ns(before, event, share))
-            self.count += 1
-            self._tell(f"picture {self.count}, version {event.scene.version}")
-
-    def _frames_between(self, before: NewScene, after: NewScene) -> int:
-        """Frames of the stream from one state to the next: more than one where training could not keep up."""
-        seconds = (after.info.time_ns - before.info.time_ns) / 1e9
-        return max(1, round(min(seconds, MAX_GAP_SECONDS) * self._stream_fps)) if self._keeps_time else 1
-
-    def _opened(self, header: SceneHeader) -> tuple[CameraPath, Recorder]:
-        if self._path is None or self._recorder is None:
-            self._path = self._viewpoint(header)
-            self._stream_fps = header.fps
-            self._film_fps = self._fps or header.fps
-            self._recorder = open_recorder(self._out, self._film_fps)
-            self._recorder.__enter__()
-        return self._path, self._recorder
-
-    def _picture(self, before: NewScene, after: NewScene, share: float, camera: Camera) -> UInt8:
-        """[H,W,3] uint8 RGB, `share` of the way from one state to the next."""
-        if share >= 1 or before is after:
-            return self._splatter.picture(after.scene, camera, after.levels)
-        if not can_interpolate(before.scene, after.scene):
-            return self._splatter.picture(before.scene, camera, before.levels)
-        cloud = interpolate(before.scene, after.scene, share, camera.centre, after.levels - 1)
-        return draw_cloud(cloud, camera, after.scene.header.background, shown_at(after.scene, camera))
-
-    def close(self, error: BaseException | None) -> None:
-        """Complete the recording, or discard it after an error."""
-        if self._recorder is not None:
-            fault = None if isinstance(error, KeyboardInterrupt | asyncio.CancelledError) else error
-            self._recorder.__exit__(None if fault is None else type(fault), fault, None)
-
-
-def _filmed_ns(before: NewScene, after: NewScene, share: float) -> int:
-    """When a picture was filmed that lies `share` of the way from one state to the next."""
-    begin, end = before.info.time_ns, after.info.time_ns
-    return end if end < begin else round(begin + share * (end - begin))  # a recording that begins again

@@ -1,0 +1,1 @@
+"""Films of what a viewpoint sees of a live stream."""
