@@ -11,8 +11,8 @@ import math
 import numpy as np
 
 from streamlod.core.arrays import Float64
-from streamlod.core.synthetic import textures as T
 from streamlod.core.synthetic.parts import Part, ball, limb, turn
+from streamlod.core.synthetic.textures import numbers as T
 
 _SKIN, _DENIM, _SHOE, _GINGER = (0.86, 0.64, 0.50), (0.20, 0.28, 0.46), (0.85, 0.84, 0.80), (0.86, 0.54, 0.24)
 

@@ -68,3 +68,13 @@ def mix(a: Colour, b: Colour, t: float) -> Colour:
 def scale(a: Colour, t: float) -> Colour:
     """`a` times t."""
     return a[0] * t, a[1] * t, a[2] * t
+
+
+@_jit
+def hue(h: float) -> Colour:
+    """A warm, muted colour for a hue in [0, 1]."""
+    return (
+        0.55 + 0.27 * math.cos(6.2832 * h),
+        0.51 + 0.23 * math.cos(6.2832 * (h - 0.36)),
+        0.48 + 0.25 * math.cos(6.2832 * (h - 0.67)),
+    )

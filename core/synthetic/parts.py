@@ -9,7 +9,7 @@ import numpy as np
 
 from streamlod.core.arrays import Float64, Int32
 from streamlod.core.synthetic.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, ROOM, SKY, Lamps, SolidParts
-from streamlod.core.synthetic.textures import GLOW, PLAIN, SCREEN, VIEW
+from streamlod.core.synthetic.textures.numbers import GLOW, PLAIN, SCREEN, VIEW
 
 Vector = tuple[float, float, float]
 _IDENTITY = np.eye(3)
@@ -23,7 +23,7 @@ class Part:
     Attributes:
         kind, size: as in `shapes.SolidParts`.
         place: [3] metres; rotation: [3,3] part to world.
-        material: texture number of `textures`; tint: display colour; seed: of the texture.
+        material: number of its texture (`textures.numbers`); tint: display colour; seed: of the texture.
         gloss: strength of highlights; mirror: share of light reflected like a mirror.
     """
 

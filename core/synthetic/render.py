@@ -20,7 +20,7 @@ from streamlod.core.synthetic.lighting import AIR, light, touched
 from streamlod.core.synthetic.parts import SceneArrays, assemble
 from streamlod.core.synthetic.shapes import FAR
 from streamlod.core.synthetic.spec import SyntheticSpec, cameras, exposures
-from streamlod.core.synthetic.textures import paint
+from streamlod.core.synthetic.textures.paint import paint
 
 _T = TypeVar("_T", bound=np.generic)
 _SPAN = 32  # neighbouring pixels that are rendered again together, or not

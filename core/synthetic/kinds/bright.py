@@ -10,10 +10,10 @@ import math
 import numpy as np
 
 from streamlod.core.synthetic import movers as M
-from streamlod.core.synthetic import textures as T
 from streamlod.core.synthetic.kind import CameraArc, Kind
 from streamlod.core.synthetic.parts import Lamp, Part, Vector, ball, box, lamps, limb, tube, turn
 from streamlod.core.synthetic.shapes import ROOM
+from streamlod.core.synthetic.textures import numbers as T
 
 _HALF = (3.3, 3.7, 1.4)
 _MIDDLE = (0.0, 1.0, 1.4)

@@ -11,10 +11,10 @@ import math
 import numpy as np
 
 from streamlod.core.synthetic import movers as M
-from streamlod.core.synthetic import textures as T
 from streamlod.core.synthetic.kind import CameraArc, Kind
 from streamlod.core.synthetic.parts import Lamp, Part, ball, box, lamps, shifted, tube, turn, turned
 from streamlod.core.synthetic.shapes import ROOM
+from streamlod.core.synthetic.textures import numbers as T
 
 _HALF, _MIDDLE = (4.2, 3.45, 1.45), (0.0, 0.85, 1.45)
 _BACK = _MIDDLE[1] + _HALF[1]

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from streamlod.core.synthetic import textures as T
 from streamlod.core.synthetic.kind import Kind
 from streamlod.core.synthetic.kinds import bright
 from streamlod.core.synthetic.parts import Lamp, Part, lamps
+from streamlod.core.synthetic.textures import numbers as T
 
 _DARK = (0.02, 0.02, 0.03)
 _OUT = (T.VIEW, T.SCREEN, T.GLOW)  # what glows in the bright room

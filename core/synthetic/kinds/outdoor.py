@@ -8,10 +8,10 @@ from collections.abc import Callable
 import numpy as np
 
 from streamlod.core.synthetic import movers as M
-from streamlod.core.synthetic import textures as T
 from streamlod.core.synthetic.kind import CameraArc, Kind
 from streamlod.core.synthetic.parts import Lamp, Part, Vector, ball, box, lamps, shifted, tube, turn
 from streamlod.core.synthetic.shapes import SKY
+from streamlod.core.synthetic.textures import numbers as T
 
 _TREES = ((-3.4, 8.5, 2.6), (4.6, 11.0, 3.2), (-8.0, 16.0, 4.0), (9.5, 21.0, 4.6), (-14.0, 30.0, 5.5), (3.5, 38.0, 5.0),
           (19.0, 40.0, 6.0), (-5.0, 46.0, 6.0))  # fmt: skip

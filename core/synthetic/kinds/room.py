@@ -8,10 +8,10 @@ from collections.abc import Callable
 import numpy as np
 
 from streamlod.core.synthetic import movers as M
-from streamlod.core.synthetic import textures as T
 from streamlod.core.synthetic.kind import CameraArc, Kind
 from streamlod.core.synthetic.parts import Lamp, Part, ball, box, lamps, limb, tube, turn
 from streamlod.core.synthetic.shapes import ROOM
+from streamlod.core.synthetic.textures import numbers as T
 
 _HALF = (2.9, 3.45, 1.35)
 _MIDDLE = (0.0, 0.85, 1.35)

@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from streamlod.core.synthetic import movers as M
-from streamlod.core.synthetic import textures as T
 from streamlod.core.synthetic.kind import CameraArc, Kind
 from streamlod.core.synthetic.parts import Lamp, Part, ball, box, lamps, limb, shifted, tube, turn
 from streamlod.core.synthetic.shapes import ROOM
+from streamlod.core.synthetic.textures import numbers as T
 
 _HALF, _MIDDLE = (4.6, 5.4, 2.3), (0.0, 1.2, 2.3)
 _CURTAIN, _BLACK, _BRASS = (0.46, 0.06, 0.08), (0.03, 0.03, 0.035), (0.80, 0.62, 0.26)
