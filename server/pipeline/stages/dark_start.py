@@ -40,18 +40,13 @@ def contrast_of_scene(scene: Scene, cameras: Sequence[Camera]) -> float:
     return _spread(splatter.picture(scene, camera) for camera in small)
 
 
-def is_dark(first: float) -> bool:
-    """Whether first pictures of the contrast `first` may be of a scene before its light."""
-    return first < _LIT
-
-
-def is_worth_anew(first: float, now: float) -> bool:
-    """Whether a scene whose first frame had the contrast `first` is to be trained anew on a frame that has `now`.
+def is_worth_anew(first: float, frame: FrameSet) -> bool:
+    """Whether a scene whose first frame had the contrast `first` is to be trained anew on this one.
 
     What has some light by then is not dark any more, so that a scene that gets ever brighter is trained anew twice at
     most.
     """
-    return is_dark(first) and now >= max(_SOMETHING, _TIMES * first)
+    return first < _LIT and contrast(frame) >= max(_SOMETHING, _TIMES * first)
 
 
 def _parts(*sides: int) -> tuple[int, int]:

@@ -14,7 +14,7 @@ from streamlod.core.train import Progress, Trainer, preset
 from streamlod.core.train.presets.settings import with_settings
 from streamlod.server.pipeline.rehearsal import rehearse
 from streamlod.server.pipeline.stages.bounded_queue import Outlet
-from streamlod.server.pipeline.stages.dark_start import contrast, contrast_of_scene, is_dark, is_worth_anew
+from streamlod.server.pipeline.stages.dark_start import contrast, contrast_of_scene, is_worth_anew
 from streamlod.server.pipeline.stages.encoding import KeyframeSize, TrainedState
 from streamlod.server.pipeline.stages.figures import report_of, spans_of
 from streamlod.server.pipeline.stages.first_frame import FirstFrame
@@ -82,7 +82,7 @@ class TrainingStage:
 
     def _begins_anew(self, frame: FrameSet) -> bool:
         """Whether the first frame had too little in it, and this one has something; see `dark_start`."""
-        if not is_dark(self._first_contrast) or not is_worth_anew(self._first_contrast, contrast(frame)):
+        if not is_worth_anew(self._first_contrast, frame):
             return False
         _LOG.info("version %d: trained anew, as there was next to nothing in the first pictures", frame.index)
         return True
