@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+import warp as wp
 
 from streamlod.client.evaluation.measure.scores import draw
 from streamlod.codec.encoder import encode_residual
@@ -53,16 +54,16 @@ def clip_of(name: str) -> tuple[Dataset, TrainConfig, Scene]:
     return clip, config, Trainer(clip.cameras, config, clip.fps, "cpu").keyframe(first, true_points(spec)).scene
 
 
-def trainer_of(name: str, engine: str) -> Trainer:
+def trainer_of(name: str, engine: str, device: str = "cpu") -> Trainer:
     clip, config, scene = clip_of(name)
-    trainer = Trainer(clip.cameras, with_settings(config, {"predict.engine": engine}), clip.fps, "cpu")
+    trainer = Trainer(clip.cameras, with_settings(config, {"predict.engine": engine}), clip.fps, device)
     trainer.resume(scene)
     return trainer
 
 
 @cache
-def run_of(name: str, engine: str) -> Run:
-    clip, trainer = clip_of(name)[0], trainer_of(name, engine)
+def run_of(name: str, engine: str, device: str = "cpu") -> Run:
+    clip, trainer = clip_of(name)[0], trainer_of(name, engine, device)
     size_bytes = added = steps = 0
     for frame in list(clip.frames())[1:]:
         before = trainer.scene
@@ -88,6 +89,15 @@ def test_bytes_are_those_of_the_usual_engine_and_anchors_are_added() -> None:
     added = [sum(run.added for run in runs) for runs in (usual, warp)]
     assert min(added) > 0
     assert added[1] == pytest.approx(added[0], rel=0.2)
+
+
+@pytest.mark.cuda
+@pytest.mark.skipif(not wp.is_cuda_available(), reason="there is no GPU")
+@pytest.mark.parametrize("name", CLIPS)
+def test_frames_on_a_gpu_are_those_of_the_cpu(name: str) -> None:
+    usual, there = run_of(name, "autograd"), run_of(name, "warp", "cuda")
+    assert usual.steps == there.steps
+    assert abs(usual.psnr - there.psnr) < 0.05
 
 
 def test_a_camera_that_comes_late_is_trained_too() -> None:
