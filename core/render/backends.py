@@ -12,14 +12,17 @@ from typing import Literal
 
 from streamlod.core.errors import BackendUnavailable
 
-Backend = Literal["cpu", "cuda", "reference"]
+Backend = Literal["cpu", "cuda", "warp", "reference"]
 _REMEDY = "choose the device cpu"
-GPU = "cuda"  # torch's name of the device that the cuda backend computes on
+GPU = "cuda"  # torch's name of the device that the backends of GPUs compute on
+ON_GPU: tuple[Backend, ...] = ("cuda", "warp")
 _LOG = logging.getLogger(__name__)
 
 
 def select(device: str = "auto") -> Backend:
     """The backend for `device`: ``cpu``, ``cuda``, or ``auto`` for cuda where it works and cpu elsewhere.
+
+    Where gsplat does not work, a GPU that is asked for by name is drawn on by Warp, which needs a driver alone.
 
     Raises:
         BackendUnavailable: cuda was asked for and cannot work here; says what is missing.
@@ -34,14 +37,27 @@ def select(device: str = "auto") -> Backend:
         return "cuda"
     if device == "auto":
         if has_nvidia_device():
-            _LOG.warning("there is an NVIDIA GPU, but the CPU is used: %s", missing)
+            other = "; or name the device cuda, and NVIDIA Warp draws" if has_warp() else ""
+            _LOG.warning("there is an NVIDIA GPU, but the CPU is used: %s%s", missing, other)
         return "cpu"
+    if has_warp():
+        _LOG.warning("NVIDIA Warp draws, which no GPU has run yet, as gsplat cannot: %s", missing)
+        return "warp"
     raise BackendUnavailable("the cuda backend", missing)
+
+
+def has_warp() -> bool:
+    """Whether torch finds a GPU, and Warp is installed to draw on it."""
+    if importlib.util.find_spec("torch") is None or importlib.util.find_spec("warp") is None:
+        return False
+    import torch
+
+    return torch.cuda.is_available()
 
 
 @functools.cache
 def cuda_fault() -> str | None:
-    """Advice about what keeps the cuda backend from working; None where nothing does."""
+    """Advice about what keeps the cuda backend, which is gsplat, from working; None where nothing does."""
     if importlib.util.find_spec("torch") is None:
         return f"install torch built for CUDA, or {_REMEDY}"
     import torch

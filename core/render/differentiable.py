@@ -55,7 +55,7 @@ def rasterise(
     if gradient_rows is not None:
         gradient_rows = min(max(gradient_rows, 0), count)
     arguments = (means, quaternions, scales, opacities, colours, camera, background, gradient_rows, tile_mask, base)
-    # Imported when used: numba takes 0.3 s, gsplat may compile for minutes.
+    # Imported when used: numba takes 0.3 s, gsplat and Warp may compile for minutes.
     if backend == "cpu":
         from streamlod.core.render.cpu.autograd import rasterise_cpu
 
@@ -64,6 +64,10 @@ def rasterise(
         from streamlod.core.render.cuda import rasterise_cuda
 
         return rasterise_cuda(*arguments)
+    if backend == "warp":
+        from streamlod.core.render.warp.rasterise import rasterise_warp
+
+        return rasterise_warp(*arguments)
     from streamlod.core.render.reference import rasterise_reference
 
     return rasterise_reference(*arguments)

@@ -68,7 +68,7 @@ class Trainer:
         self._cameras, self._config, self._fps = cameras, config, fps
         self._backend = select(device)
         self._rig = rig or cameras
-        self._device = backends.GPU if self._backend == "cuda" else "cpu"
+        self._device = backends.GPU if self._backend in backends.ON_GPU else "cpu"
         self._engine_of = named_engine(config, self._backend, self._device)
         self._exposure = neutral(len(cameras), self._device)
         self._refit_exposure = False

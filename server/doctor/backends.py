@@ -23,7 +23,7 @@ _ROUNDS = 3
 
 
 def check_backends(device: str, quick: bool) -> Iterator[Finding]:
-    """Findings on both backends: whether they are there, whether their gradients are right, how fast they are.
+    """Findings on the backends: whether they are there, whether their gradients are right, how fast they are.
 
     Args:
         device: ``auto``, ``cpu`` or ``cuda``; a missing backend is a fault only where ``cuda`` was named.
@@ -33,13 +33,16 @@ def check_backends(device: str, quick: bool) -> Iterator[Finding]:
         verdict = Verdict.FAULT if device == "cuda" else Verdict.ABSENT
         yield Finding("training", verdict, "torch is missing: only playback works", "pip install 'streamlod[train]'")
         return
-    from streamlod.core.render.backends import cuda_fault
+    from streamlod.core.render.backends import cuda_fault, has_warp
 
     if not quick:
         yield _measured("cpu")
     fault = cuda_fault()
     if fault is not None:
-        yield Finding("backend cuda", _seriousness(device), "does not work here", fault)
+        serious = Verdict.WARNING if has_warp() else _seriousness(device)  # it draws instead, if cuda is asked for
+        yield Finding("backend cuda", serious, "does not work here", fault)
+        if has_warp() and not quick:
+            yield _measured("warp")
         return
     import torch
 
@@ -48,6 +51,8 @@ def check_backends(device: str, quick: bool) -> Iterator[Finding]:
     yield Finding("device cuda", Verdict.OK, found)
     if not quick:
         yield _measured("cuda")
+        if has_warp():
+            yield _measured("warp")
 
 
 def _seriousness(device: str) -> Verdict:
@@ -112,7 +117,7 @@ def _gradients(backend: Backend, count: int, size: tuple[int, int]) -> list[Tens
         draw.uniform(0, 1, (count, 3)),
     )
     kind = torch.float64 if backend == "reference" else torch.float32
-    place = "cuda" if backend == "cuda" else "cpu"
+    place = "cuda" if backend in ("cuda", "warp") else "cpu"
     leaves = [torch.tensor(v.astype(np.float32), dtype=kind, device=place, requires_grad=True) for v in values]
     means, quaternions, scales, opacities, colours = leaves
     camera, background = _camera(*size), torch.zeros(3, dtype=kind, device=place)

@@ -9,7 +9,11 @@ from importlib.metadata import PackageNotFoundError, version
 from streamlod.server.doctor.finding import Finding, Verdict
 
 _BASE = ("numpy", "numba", "msgpack", "websockets", "av", "opencv-contrib-python-headless")
-_EXTRAS = {"train": ("torch", "scikit-learn", "scipy"), "serve": ("fastapi", "uvicorn", "pyjwt"), "cuda": ("gsplat",)}
+_EXTRAS = {
+    "train": ("torch", "scikit-learn", "scipy"),
+    "serve": ("fastapi", "uvicorn", "pyjwt"),
+    "cuda": ("gsplat", "warp-lang"),
+}
 
 
 def check_versions() -> Iterator[Finding]:

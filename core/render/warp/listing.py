@@ -41,7 +41,7 @@ class TileLists:
     @property
     def largest(self) -> int:
         """The most pairs that there were so far, with those that had no room; waits for the device."""
-        return max(int(self.wanted.numpy()[0]), int(self.most.numpy()[0]))
+        return max(int(count.numpy().view(np.uint32)[0]) for count in (self.wanted, self.most))
 
     @property
     def overflow(self) -> int:

@@ -35,11 +35,17 @@ class Sight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnViews:
-    """Parts of V views: image [V,H,W] vec3, light [V,H,W], the loss's gradient by_image [V,H,W] vec3, sums [V,G,9]."""
+    """Parts of V views.
+
+    Attributes:
+        image: [V,H,W] vec3. light: [V,H,W] what of the background shows.
+        by_image: [V,H,W] vec3 the loss's gradient. by_light: likewise, or empty where it is zero. sums: [V,G,9].
+    """
 
     image: Any
     light: Any
     by_image: Any
+    by_light: Any
     sums: Any
 
 
@@ -50,6 +56,7 @@ def pictures(views: int, gaussians: int, grid: Any, device: str) -> DrawnViews:
         wp.zeros(shape, dtype=wp.vec3, device=device),
         wp.zeros(shape, dtype=float, device=device),
         wp.zeros(shape, dtype=wp.vec3, device=device),
+        wp.zeros((0, 0, 0), dtype=float, device=device),
         wp.zeros((views, gaussians, 9), dtype=float, device=device),
     )
 
@@ -66,7 +73,8 @@ def differentiate(
 ) -> None:
     """From `out.by_image` to the gradients `by` of the moving Gaussians, which `cloud` holds."""
     out.sums.zero_()
-    given = [moving.layer, still.layer, sight.chosen, sight.grid, out.image, out.by_image, out.sums]
+    given = [moving.layer, still.layer, sight.chosen, sight.grid]
+    given += [out.image, out.light, out.by_image, out.by_light, out.sums]
     blocks = (sight.chosen.shape[0] * sight.grid.tiles, _PIXELS)
     wp.launch(differentiate_blend, dim=blocks, inputs=given, block_dim=_PIXELS, device=device)
     projected = [count, cloud, sight.chosen, sight.cameras, sight.grid, moving.layer, out.sums, by]

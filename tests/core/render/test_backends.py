@@ -49,6 +49,18 @@ def test_each_missing_part_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     cuda_fault.cache_clear()
 
 
+def test_warp_draws_on_a_gpu_that_is_asked_for_and_lacks_gsplat(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    spec = importlib.machinery.ModuleSpec("warp", None)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: spec if name in ("torch", "warp") else None)
+    assert select("cuda") == "warp"
+    assert select() == "cpu"
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    cuda_fault.cache_clear()
+    with pytest.raises(BackendUnavailable, match="no CUDA device"):
+        select("cuda")
+
+
 def test_other_words_are_refused() -> None:
     with pytest.raises(ValueError, match="auto, cpu or cuda"):
         select("tpu")

@@ -21,14 +21,16 @@ def differentiate_blend(
     chosen: wp.array[int],
     grid: TileGrid,
     image: wp.array3d[wp.vec3],
+    light: wp.array3d[float],
     by_image: wp.array3d[wp.vec3],
+    by_light: wp.array3d[float],
     sums: wp.array3d[float],
 ) -> None:
     """Grid (views * tiles, pixels of a tile), a block a tile.
 
     Args:
-        moving, still, chosen: as for `blend`; `image` [V,H,W] is its result.
-        by_image: [V,H,W] the loss's gradient.
+        moving, still, chosen: as for `blend`; `image` and `light` [V,H,W] are its result.
+        by_image: [V,H,W] the loss's gradient; by_light: likewise, or empty where it is zero.
         sums: in and out, [V,G,9] of the moving Gaussians (`rules`).
     """
     row, lane = wp.tid()
@@ -44,6 +46,8 @@ def differentiate_blend(
     if alive:
         g = by_image[v, pixel[1], pixel[0]]
         behind = wp.dot(g, image[v, pixel[1], pixel[0]])
+        if by_light.shape[0] > 0:
+            behind += by_light[v, pixel[1], pixel[0]] * light[v, pixel[1], pixel[0]]
     m = moving.first[row]
     m_end = moving.last[row]
     s = still.first[c * grid.tiles + tile]

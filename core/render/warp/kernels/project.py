@@ -196,7 +196,7 @@ def project(
     layer.conic[v, i] = conic
     layer.colour[v, i] = colour
     at = wp.atomic_add(wanted, 0, pairs)
-    if at + pairs > layer.ids.shape[0] // 2:
+    if at < 0 or at + pairs > layer.ids.shape[0] // 2:  # below zero: more than 2^31
         return  # `wanted` tells
     depth = wp.uint64(wp.cast(e.depth, wp.uint32))
     for row in range(box[1], box[3]):
