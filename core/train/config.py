@@ -11,7 +11,7 @@ from typing import ClassVar, Literal
 from streamlod.core.train.setting import given, octree_gs, reading, setting
 
 LevelSelection = Literal["all", "distance"]
-Engine = Literal["autograd", "warp"]
+Engine = Literal["auto", "autograd", "warp"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,9 +296,10 @@ class PredictConfig:
         reading(0.02, "not mentioned; where no picture changes at all, nothing is trained"),
     )
     engine: Engine = setting(
-        "autograd",
-        "what takes the steps: torch's autograd over the rasteriser of the device, or NVIDIA Warp's recorded kernels",
-        reading("autograd", "not mentioned"),
+        "auto",
+        "what takes the steps: torch's autograd over the rasteriser of the device, or NVIDIA Warp's recorded kernels;"
+        " auto: the latter where Warp draws, as a GPU lacks gsplat",
+        reading("auto", "not mentioned"),
     )
     partition_interval: int = setting(
         1, "frames between partitions; 4 in the paper's star variant", given(1, "IV-D", "every frame is partitioned")

@@ -4,7 +4,7 @@ Run it first on the day that a GPU is there. Every part writes its figures to a 
 when the program is run again with that file; `--device cpu --small` tries the program itself where there is none.
 
 Parts: the device; correctness (kernels against float64, compute-sanitizer); steps launched and replayed, kernel by
-kernel; whole pictures drawn; whole later frames by both engines; memory.
+kernel; whole pictures drawn; both rasterisers; whole later frames by both engines; memory.
 """
 
 from __future__ import annotations
@@ -24,9 +24,11 @@ from typing import Any
 import torch
 import warp as wp
 
+from streamlod.core.render import Backend
 from streamlod.core.train.engine.warp.room import view_of
 from streamlod.core.train.engine.warp.step import TrainingStep
 from tests.bench.gpu_frames import frame_figures
+from tests.bench.raster_gpu import step_times
 from tests.bench.step_subject import Sizes, make_step, told, work
 
 TESTS = ("tests/core/render/warp", "tests/core/train/engine/warp")
@@ -148,6 +150,18 @@ def drawing(device: str, sizes: Sizes) -> Figures:
     return {"Gaussians": step.room.still_count.numpy()[0].item(), "pictures a second": 1e3 * sizes.views / each}
 
 
+def rasterisers(device: str, sizes: Sizes) -> Figures:
+    """Whole pictures with gradients, by the rasteriser of the device and by Warp's behind the same interface."""
+    backends: tuple[Backend, ...] = ("cuda", "warp") if device == "cuda" else ("cpu", "warp")
+    size, count = (sizes.width, sizes.height), 300 if sizes == SMALL else 50_000
+    rounds = 2 if sizes == SMALL else 20
+    return {
+        f"{backend}, {name}": spent
+        for backend in backends
+        for name, spent in step_times(device, backend, count, size, rounds).items()
+    }
+
+
 def frames(device: str, sizes: Sizes) -> Figures:
     """Whole later frames, by autograd over the rasteriser of the device and by recorded steps."""
     return frame_figures(device, sizes.width, sizes.height, sizes.cameras, 40 if sizes == SMALL else 600)
@@ -159,6 +173,7 @@ PARTS: dict[str, Callable[[str, Sizes], Figures]] = {
     "steps": steps_part,
     "all views": all_views,
     "drawing": drawing,
+    "rasterisers": rasterisers,
     "frames": frames,
     "sanitizer": sanitizer,
 }

@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from streamlod.core.render import rasterise, select
+from streamlod.core.render import Backend, rasterise, select
 from streamlod.core.train.field.convert import field_of
 from tests.bench.frame_subjects import draw_pictures, make_state
 from tests.bench.raster_subjects import make_scene, tensors
@@ -26,14 +26,18 @@ def gpu_report(
 ) -> dict[str, Any]:
     """Wall time on `device` of drawing `counts` Gaussians, with gradients and without, and pictures a second of scenes
     of `anchors`, of which every picture chooses its levels and decodes them."""
-    found: dict[str, Any] = {f"{count} Gaussians": _steps(device, count, size, rounds) for count in counts}
+    backend = select(device)
+    found: dict[str, Any] = {f"{count} Gaussians": step_times(device, backend, count, size, rounds) for count in counts}
     return found | {f"{count} anchors": _pictures(device, count, size, pictures) for count in anchors}
 
 
-def _steps(device: str, count: int, size: tuple[int, int], rounds: int) -> dict[str, float]:
+def step_times(
+    device: str, backend: Backend, count: int, size: tuple[int, int], rounds: int = _ROUNDS
+) -> dict[str, float]:
+    """Milliseconds of drawing `count` Gaussians with `backend`, without gradients and with them."""
     cloud, camera = make_scene(count, *size)
     leaves = [value.detach().to(device).requires_grad_() for value in tensors(cloud)]
-    background, backend = torch.zeros(3, device=device), select(device)
+    background = torch.zeros(3, device=device)
 
     def draw() -> torch.Tensor:
         return rasterise(*leaves, camera=camera, background=background, backend=backend).image

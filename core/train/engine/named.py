@@ -10,8 +10,6 @@ from streamlod.core.train.config import TrainConfig
 from streamlod.core.train.later_frame.autograd.engine import autograd_engine
 from streamlod.core.train.later_frame.engine import EngineMaker
 
-_SETTING = "setting predict.engine"
-
 
 def named_engine(config: TrainConfig, backend: Backend, device: str) -> EngineMaker:
     """Engines of later frames.
@@ -23,15 +21,23 @@ def named_engine(config: TrainConfig, backend: Backend, device: str) -> EngineMa
         InputError: the method has something in it that the engine does not know.
         BackendUnavailable: the engine needs a package that is not installed.
     """
-    if config.predict.engine == "autograd":
+    engine, unknown = config.predict.engine, _unknown_to_warp(config)
+    if engine == "autograd" or (engine == "auto" and (backend != "warp" or unknown)):
         return autograd_engine(backend)
-    if config.model.selection == "distance":
-        raise InputError(_SETTING, "warp draws all levels: set model.selection=all, or predict.engine=autograd")
-    for part in config.parts:
-        if part.needs_gradients:
-            raise InputError(_SETTING, f"warp knows no part {part.name}: leave it out, or set predict.engine=autograd")
+    if unknown:
+        raise InputError("setting predict.engine", f"{unknown}, or set predict.engine=autograd")
     if importlib.util.find_spec("warp") is None:
         raise BackendUnavailable("the engine warp", "install streamlod[cuda], or set predict.engine=autograd")
     from streamlod.core.train.engine.warp.frame_engine import warp_engine
 
     return warp_engine(device)
+
+
+def _unknown_to_warp(config: TrainConfig) -> str:
+    """Advice about what the recorded steps do not know; empty where they know everything."""
+    if config.model.selection == "distance":
+        return "warp draws all levels: set model.selection=all"
+    for part in config.parts:
+        if part.needs_gradients:
+            return f"warp knows no part {part.name}: leave it out"
+    return ""

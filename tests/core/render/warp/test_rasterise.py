@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import warp as wp
 
 from streamlod.core.camera import Camera
 from streamlod.core.errors import ModelError
@@ -38,6 +39,17 @@ def test_pictures_and_gradients_equal_the_reference(scene: str) -> None:
     assert float((found.transmittance - wanted.transmittance).abs().max()) < 1e-5
     assert torch.equal(found.probe.visible, wanted.probe.visible)
     assert largest_error(found, wanted) < BOUND
+
+
+@pytest.mark.cuda
+@pytest.mark.skipif(not wp.is_cuda_available(), reason="there is no GPU")
+@pytest.mark.parametrize("scene", SCENES)
+def test_on_a_gpu_they_equal_the_reference(scene: str) -> None:
+    cloud, camera = SCENES[scene]
+    found, wanted = run(cloud, camera, "warp", device="cuda"), run(cloud, camera, "reference")
+    assert float((found.image - wanted.image).abs().max()) < 1e-4
+    assert max(relative(found.gradients[name], wanted.gradients[name]) for name in NAMES) < 1e-3
+    assert relative(found.probe.gradients.double().cpu(), wanted.probe.gradients) < 1e-3
 
 
 @pytest.mark.parametrize("rows", [0, 1, 130, 400, 10_000])

@@ -17,6 +17,8 @@ from streamlod.core.metrics import psnr
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import TrainConfig, Trainer, preset
+from streamlod.core.train.engine.named import named_engine
+from streamlod.core.train.later_frame.engine import EngineMaker
 from streamlod.core.train.presets.settings import Value, with_settings
 from tests.core.true_points import true_points
 
@@ -110,6 +112,18 @@ def test_a_camera_that_comes_late_is_trained_too() -> None:
         done = trainer.predict(frames[2])
         psnrs.append(psnr(draw(done.scene, clip_of(name)[0].cameras[3]), frames[2].images[3]))
     assert abs(psnrs[0] - psnrs[1]) < 0.05
+
+
+def test_recorded_steps_are_usual_where_warp_draws() -> None:
+    config = preset("live")
+    assert is_recorded(named_engine(config, "warp", "cpu"))
+    assert not is_recorded(named_engine(config, "cpu", "cpu"))
+    assert not is_recorded(named_engine(with_settings(config, {"predict.engine": "autograd"}), "warp", "cpu"))
+    assert not is_recorded(named_engine(preset("paper"), "warp", "cpu"))
+
+
+def is_recorded(engine_of: EngineMaker) -> bool:
+    return engine_of.__qualname__.startswith("warp_engine")
 
 
 @pytest.mark.parametrize(
