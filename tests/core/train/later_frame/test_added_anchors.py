@@ -217,3 +217,16 @@ def added(frame: TrainedFrame) -> list[int]:
     """Numbers of added anchors by level, of the levels that have any."""
     assert frame.residual is not None
     return [len(level.added) for level in frame.residual.levels if len(level.added)]
+
+
+def test_their_numbers_in_steps_are_what_the_decoder_gets() -> None:
+    scene = scene_of(random_field(60), CONFIG, CAMERAS, 30.0, 0)
+    new, *_ = few_new(scene)
+    rows = new.rows
+    flat = torch.cat([rows[name].detach().flatten(1) for name in ("feature", "offset", "scaling")], dim=1)
+    places = torch.cat([flat, rows["position"].detach() - new.node], dim=1)
+    assert torch.allclose(new.numbers.round() * new.widths, places, atol=1e-5)
+    changed = new.numbers + 3.0
+    new.adopt(changed)
+    assert torch.equal(new.numbers, changed)
+    assert torch.allclose(new.rows["feature"], changed[:, :8].round() * new.widths[:, :8], atol=1e-6)

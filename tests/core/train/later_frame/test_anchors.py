@@ -64,3 +64,9 @@ def test_steps_before_anchors_joined_do_not_count(state: State, anchors: Trained
     anchors.optimiser.average()
     anchors.settle()
     assert sent(anchors) == (5, 9)
+
+
+def test_what_was_trained_elsewhere_is_sent(anchors: TrainedAnchors) -> None:
+    anchors.adopt(torch.full((15, 24), 3.0), torch.full((15, 3), -2.0), torch.zeros(0, 0), 4)
+    assert sent(anchors) == (3, -2)
+    assert anchors.update(np.ones(15, np.bool_), 1, 0.0).repaired == 4

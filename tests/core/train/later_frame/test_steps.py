@@ -9,7 +9,7 @@ import torch
 
 from streamlod.core.train import preset
 from streamlod.core.train.config import PredictConfig
-from streamlod.core.train.later_frame.steps import steps_of
+from streamlod.core.train.later_frame.steps import most_steps, steps_of
 
 CONFIG = PredictConfig(epochs=10, minimum_steps=40, most_effort=2.0)
 
@@ -41,3 +41,10 @@ def test_no_effort_means_the_configured_steps(effort: float) -> None:
 @pytest.mark.parametrize("share", [0.1, 1.0])
 def test_the_paper_has_its_epochs_whatever_changed(share: float) -> None:
     assert steps_of(preset("paper").predict, masks(3, share)) == 30
+
+
+@pytest.mark.parametrize("effort", [0.0, 1.0, 2.0, 3.5])
+@pytest.mark.parametrize("cameras", [2, 6])
+def test_no_frame_takes_more_than_the_most(cameras: int, effort: float) -> None:
+    config = replace(CONFIG, most_effort=effort)
+    assert most_steps(config, cameras) == steps_of(config, masks(cameras, 1.0))
