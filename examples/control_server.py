@@ -19,7 +19,7 @@ def main(address: str, path: str) -> None:
         try:
             for event in server.events("example", last_id="0"):
                 print(f"{event.type} {dict(event.data)}")
-                if server.stream("example").state in {"live", "finished", "failed"}:
+                if server.stream("example").state in {"live", "ended", "failed"}:
                     break
             print([stream.id for stream in server.streams()])
         finally:
