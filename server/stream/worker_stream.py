@@ -68,7 +68,7 @@ class WorkerStream(Stream):
     def define(self, spec: StreamSpec, push_socket: Path | None) -> None:
         """Make it from something else, from its first frame on; only while it does not run."""
         self.spec, self.push_socket = spec, push_socket
-        self.work.define(self.etag if spec.job else "")
+        self.work.define(self.etag if spec.job else "", on_demand=spec.on_demand)
         self.source, self.played_file = spec.source, spec.play
         self.loop = spec.play is not None and spec.loop
         sound = None if spec.play is None else find_sound(spec.play)
@@ -171,7 +171,7 @@ class WorkerStream(Stream):
         await self.stop(remember=False)
 
     def _launch(self) -> None:
-        self.work.begin(anew=self.state in {"ended", "failed"})
+        self.work.begin()
         self.progress = None
         self._supervisor = self._make_supervisor()
         self.enter("starting")

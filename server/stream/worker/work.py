@@ -37,16 +37,16 @@ class Work:
         self.messages = WorkerMessages(stream, EncoderRun(recording.last_epoch if recording else 0))
         self.placing = Placing(stream)
         self.pausing = Pausing(stream, on_demand_seconds)
+        self._on_demand = False
         self._restoring = asyncio.Lock()  # held while the recording's last state is loaded
 
-    def define(self, trained_from: str) -> None:
-        """Begin with the first frame of another source, named as in `EncoderRun`."""
+    def define(self, trained_from: str, *, on_demand: bool) -> None:
+        """Begin with the first frame of another source, named as in `EncoderRun`, perhaps again for each viewer."""
+        self._on_demand = on_demand
         self.messages.run = replace(self.messages.run.anew(), trained_from=trained_from)
 
-    def begin(self, *, anew: bool) -> None:
-        """A worker is started, which begins `anew` or goes on."""
-        if anew:
-            self.messages.run = self.messages.run.anew()
+    def begin(self) -> None:
+        """A worker is started."""
         self.placing.begin()
         self.pausing.begin()
 
@@ -96,6 +96,8 @@ class Work:
         _LOG.info("stream %s: %s", stream.id, ending.refused.sentence(bool) if ending.refused else ending.text)
         if stream.bus.recording is not None:
             asyncio.get_running_loop().create_task(stream.bus.recording.close())
-        stream.note(trained_from="", **({"running": False} if ending.done else {}))
+        self.messages.run = self.messages.run.anew()  # whoever starts it again, by hand or as a viewer, has it all
+        is_over = ending.done and not self._on_demand
+        stream.note(trained_from="", **({"running": False} if is_over else {}))
         self.placing.end(refused=ending.refused)
         stream.enter("ended" if ending.done else "failed", ending.text)

@@ -133,6 +133,24 @@ def test_a_stream_on_demand_runs_while_somebody_watches(server: Running, client:
     assert client.delete("/v1/streams/asked", params={"erase": True}).status_code == 204
 
 
+def test_a_stream_on_demand_that_ended_plays_from_its_begin_for_the_next_viewer(clip: Clip, tmp_path: Path) -> None:
+    settings = Settings(state=tmp_path, on_demand_seconds=0.1)
+    with running(settings) as server, server.client() as client:
+        body = {"id": "once", "play": str(clip.path), "loop": False, "on_demand": True, "start": True}
+        assert client.post("/v1/streams", json=body).status_code == 201
+        last = len(clip.states) - 1
+        for epoch in (1, 2):
+            with viewing(server, "once") as viewer:
+                viewer.hello()
+                server.wait(lambda stream, e=epoch: (stream["epoch"], stream["state"]) == (e, "ended"), "once")
+            server.wait(lambda stream: stream["detail"] == "it starts with its first viewer", "once")
+            groups = client.get("/v1/streams/once/manifest").json()["gops"]
+            assert [(group["epoch"], group["first"]) for group in groups if group["first"] == 0][-1] == (epoch, 0)
+            assert (groups[-1]["epoch"], groups[-1]["last"]) == (epoch, last)
+    with running(settings) as server:  # and waits for one when the server starts again
+        server.wait(lambda stream: stream["detail"] == "it starts with its first viewer", "once")
+
+
 def test_viewers_are_listed_and_sent_away(server: Running, client: httpx.Client) -> None:
     with viewing(server) as one, viewing(server) as two:
         for viewer in (one, two):
