@@ -21,7 +21,7 @@ from streamlod.core.render.raster import Probe, Raster
 from streamlod.core.render.tiles import TILE_HEIGHT, TILE_WIDTH
 from streamlod.core.render.warp.kernels.rules import BACKGROUND, CAMERA_NUMBERS, Cloud
 from streamlod.core.render.warp.listing import TileLists, camera_rows, cloud_room, grid_of, list_gaussians, listing
-from streamlod.core.render.warp.pictures import Sight, differentiate, draw, pictures
+from streamlod.core.render.warp.pictures import DrawnViews, Sight, differentiate, draw
 
 _TYPES = {"means": wp.vec3, "quaternions": wp.vec4, "scales": wp.vec3, "opacities": wp.float32, "colours": wp.vec3}
 
@@ -102,8 +102,8 @@ class _Rasterised(torch.autograd.Function):
         parameters, picture = given[:5], given[5]
         shape, place = (1, picture.camera.height, picture.camera.width), parameters[0].device
         image, light = torch.empty(*shape, 3, device=place), torch.empty(shape, device=place)
-        room = pictures(1, max(picture.rows, 1), picture.sight.grid, picture.device)
-        out = replace(room, image=wp.from_torch(image, dtype=wp.vec3), light=wp.from_torch(light))
+        nothing = wp.zeros((0, 0, 0), dtype=float, device=picture.device)  # gradients come later
+        out = DrawnViews(wp.from_torch(image, dtype=wp.vec3), wp.from_torch(light), nothing, nothing, nothing)
         draw(picture.moving.lists, picture.still, picture.sight, out, picture.device)
         ctx.picture, ctx.out, ctx.shapes = picture, out, [parameter.shape for parameter in parameters]
         ctx.set_materialize_grads(False)
@@ -112,14 +112,19 @@ class _Rasterised(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, by_image: Tensor | None, by_light: Tensor | None) -> tuple[Tensor | None, ...]:
-        picture, layer = ctx.picture, ctx.picture.moving
-        out = replace(ctx.out, by_light=wp.zeros_like(ctx.out.light))
+        picture, layer, room = ctx.picture, ctx.picture.moving, max(ctx.picture.rows, 1)
+        out = replace(
+            ctx.out,
+            by_image=wp.zeros_like(ctx.out.image),
+            by_light=wp.zeros_like(ctx.out.light),
+            sums=wp.zeros((1, room, 9), dtype=float, device=picture.device),
+        )
         for array, gradient in ((out.by_image, by_image), (out.by_light, by_light)):
             if gradient is not None:
                 _tensor(array)[0] = gradient
             if picture.pixels is not None:
                 _tensor(array)[0, ~picture.pixels] = 0
-        by = cloud_room(1, max(picture.rows, 1), picture.device)
+        by = cloud_room(1, room, picture.device)
         lists = (layer.lists, picture.still, picture.sight, out)
         differentiate(*lists, layer.count, layer.cloud, by, picture.device)
         screen = _screen(layer.lists, out.sums)[: picture.rows]

@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 import warp as wp
 
+import streamlod.core.render.backends
+import streamlod.core.train.trainer
 from streamlod.client.evaluation.measure.scores import draw
 from streamlod.codec.encoder import encode_residual
 from streamlod.core.data import Dataset
 from streamlod.core.errors import InputError
+from streamlod.core.frames import FrameSet
 from streamlod.core.metrics import psnr
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
@@ -74,8 +77,7 @@ def run_of(name: str, engine: str, device: str = "cpu") -> Run:
         size_bytes += len(encode_residual(before, done.residual, time_ns=frame.index))
         added += sum(len(level.added) for level in done.residual.levels)
         steps += done.report.steps
-    shown = [draw(trainer.scene, camera) for camera in clip.cameras]
-    return Run(float(np.mean(list(map(psnr, shown, frame.images)))), size_bytes, added, steps)
+    return Run(quality(trainer.scene, clip, frame), size_bytes, added, steps)
 
 
 @pytest.mark.parametrize("name", CLIPS)
@@ -112,6 +114,28 @@ def test_a_camera_that_comes_late_is_trained_too() -> None:
         done = trainer.predict(frames[2])
         psnrs.append(psnr(draw(done.scene, clip_of(name)[0].cameras[3]), frames[2].images[3]))
     assert abs(psnrs[0] - psnrs[1]) < 0.05
+
+
+def test_warp_alone_trains_a_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A GPU with a driver alone, whose place the CPU takes: first frame, what moves, recorded steps, keyframe."""
+    clip, config, scene = clip_of("as usual")
+    monkeypatch.setattr(streamlod.core.train.trainer, "select", lambda device: "warp")
+    monkeypatch.setattr(streamlod.core.render.backends, "GPU", "cpu")
+    trainer, (first, second, *_) = Trainer(clip.cameras, config, clip.fps), clip.frames()
+    done = trainer.keyframe(first, true_points(CLIPS["as usual"][0]))
+    assert abs(quality(done.scene, clip, first) - quality(scene, clip, first)) < 1.0
+    moved = quality(done.scene, clip, second)
+    done = trainer.predict(second)
+    assert done.report.steps > 0
+    assert quality(done.scene, clip, second) > moved + 0.5
+    assert trainer.refresh(second).scene.keyframe == done.scene.version
+
+
+def quality(scene: Scene, clip: Dataset, frame: FrameSet) -> float:
+    """PSNR in the mean of the cameras."""
+    return float(
+        np.mean([psnr(draw(scene, camera), truth) for camera, truth in zip(clip.cameras, frame.images, strict=True)])
+    )
 
 
 def test_recorded_steps_are_usual_where_warp_draws() -> None:
