@@ -61,6 +61,7 @@ class Recording:
         self._writer: SlodWriter | None = None
         self._sound: PacketWriter | None = None  # of the open segment, once there is sound
         self._sound_fails = self.is_erased = False
+        self._is_behind = False  # whether packets were dropped that follow those which wait
         self._waiting_bytes = 0
         self._noting = threading.Lock()
         self.fault: str | None = None
@@ -88,8 +89,10 @@ class Recording:
     def append(self, packet: StreamPacket) -> Future[None] | None:
         """Queue a packet for recording, or drop it if the disk is far behind; what is done when it is written."""
         if self._waiting_bytes > self._disk.retention.memory_bytes:
-            self.fault, self.lost_packets = "the disk is too slow", self.lost_packets + 1
-            self._disk.submit(self._abandon)
+            self.lost_packets += 1
+            self._is_behind = True
+            self._fail("the disk is too slow")
+            self._disk.submit(self._catch_up)
             return None
         self._waiting_bytes += len(packet.data)
         return self._disk.submit(lambda: self._write(packet))
@@ -146,7 +149,9 @@ class Recording:
         last = self.segments[-1]
         size = last.size_bytes + len(packet.data)
         self.segments[-1] = replace(last, last=packet.position, packets=last.packets + 1, size_bytes=size)
-        self.fault = None
+        if packet.is_key and self.fault is not None and not self._is_behind:
+            self.fault = None
+            _LOG.warning("stream %s: is recorded again; %d packets are lost so far", self._stream, self.lost_packets)
 
     def _write_sound(self, pieces: Sequence[SoundPiece]) -> None:
         """Append to the sound of the open segment, of which a failure is reported once. On the recording thread."""
@@ -195,8 +200,18 @@ class Recording:
             self._stop(error)
 
     def _stop(self, error: Exception) -> None:
-        self.fault = f"recording stopped: {getattr(error, 'strerror', None) or error}"  # without the file's name
-        _LOG.error("stream %s: %s", self._stream, self.fault)
+        self._fail(f"recording stopped: {getattr(error, 'strerror', None) or error}")  # without the file's name
+
+    def _fail(self, fault: str) -> None:
+        """Tell why nothing is recorded now; the log has it once, however many keyframes try again."""
+        if fault != self.fault:
+            _LOG.error("stream %s: %s", self._stream, fault)
+        self.fault = fault
+
+    def _catch_up(self) -> None:
+        """Leave out what follows up to the next keyframe, as packets were dropped. On the recording thread."""
+        self._is_behind = False
+        self._abandon()
 
     def _abandon(self) -> None:
         """Give up the open segment, keeping it up to its last whole packet."""

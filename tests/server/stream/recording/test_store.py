@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import shutil
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +20,7 @@ from streamlod.core.errors import InputError
 from streamlod.server.protocol.packets import Position, StreamPacket, stream_packet
 from streamlod.server.settings import Retention
 from streamlod.server.stream.bus import Bus
+from streamlod.server.stream.recording.disk import Disk
 from streamlod.server.stream.recording.recording import Recording
 from streamlod.server.stream.recording.store import Store
 from streamlod.server.stream.sound_track import SoundTrack
@@ -146,7 +148,7 @@ def test_retention_by_bytes_counts_and_deletes_the_sound_beside(tmp_path: Path) 
 
 
 def test_a_full_disk_stops_the_recording_and_the_next_keyframe_tries_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     packets = packets_of(tmp_path)
 
@@ -156,20 +158,57 @@ def test_a_full_disk_stops_the_recording_and_the_next_keyframe_tries_again(
         usage: Callable[[Any], Any] = lambda _: shutil._ntuple_diskusage(100, 99, 1)  # type: ignore[attr-defined]  # noqa: E731
         with monkeypatch.context() as patch:
             patch.setattr(shutil, "disk_usage", usage)
-            for packet in packets[:4]:
+            for packet in packets[:8]:  # two keyframes
                 recording.append(packet)
             await recording.flush()
         assert recording.fault is not None
         assert "reserve" in recording.fault
-        assert recording.lost_packets == 4
-        for packet in packets[4:]:
+        assert recording.lost_packets == 8
+        for packet in packets[8:]:
             recording.append(packet)
         await recording.flush()
         assert recording.fault is None
-        assert [s.first for s in recording.segments] == [Position(1, 4), Position(1, 8)]
+        assert [s.first for s in recording.segments] == [Position(1, 8)]
         store.close()
 
     asyncio.run(run())
+    assert [record.getMessage() for record in caplog.records] == [
+        "stream main: recording stopped: the disk is full except for its reserve",
+        "stream main: is recorded again; 8 packets are lost so far",
+    ]
+
+
+def test_a_disk_that_is_too_slow_is_told_of_until_the_next_keyframe(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    packets, stands = packets_of(tmp_path), threading.Event()
+
+    async def run() -> None:
+        disk = Disk(tmp_path, Retention.model_construct(**{**Retention().model_dump(), "memory_bytes": 1}))
+        standing = asyncio.ensure_future(disk.run(stands.wait))
+        await asyncio.sleep(0)  # the disk's thread has it first
+        recording = Recording(disk, "main")
+        for packet in packets[:3]:  # a keyframe waits, which is too much for the next ones
+            recording.append(packet)
+        stands.set()
+        await standing
+        faults = []
+        for packet in packets[3:8]:
+            await recording.flush()
+            faults.append(recording.fault)
+            recording.append(packet)
+        await recording.flush()
+        assert faults == ["the disk is too slow", "the disk is too slow", None, None, None]
+        assert [(s.first.version, s.last.version) for s in recording.segments] == [(0, 0), (4, 7)]
+        assert recording.lost_packets == 3
+        await recording.close()
+        disk.close()
+
+    asyncio.run(run())
+    assert [record.getMessage() for record in caplog.records] == [
+        "stream main: the disk is too slow",
+        "stream main: is recorded again; 3 packets are lost so far",
+    ]
 
 
 def test_a_folder_that_cannot_be_used_is_refused(tmp_path: Path) -> None:
