@@ -55,6 +55,7 @@ async def watch(url: str, options: WatchOptions = _LIVE, attempts: int = 11) -> 
         except (OSError, WebSocketException, SessionError) as error:
             if isinstance(error, ConnectionClosed) and error.rcvd is not None and error.rcvd.code == CloseCode.DONE:
                 return
+            hint = "; is the server running?" if isinstance(error, OSError) else ""  # otherwise it has answered
             try:
                 reason = _reason(link.url, error, repeated=failures > 0 or not ever)
             except (InputError, SessionError) as refusal:
@@ -65,7 +66,7 @@ async def watch(url: str, options: WatchOptions = _LIVE, attempts: int = 11) -> 
             await link.close()
         failures += 1
         if (not ever and link.url == url) or failures > attempts:
-            raise InputError(url, f"cannot be reached ({reason}); is the server running?")
+            raise InputError(url, f"cannot be reached ({reason}){hint}")
         if link.playback.mode == "replay" and link.playback.position is not None:
             start = link.playback.position
         edge = await nearest(each for each in edges if each != link.url)

@@ -270,6 +270,14 @@ def test_a_server_that_breaks_the_protocol_gets_one_more_chance() -> None:
     assert closed[0] == 4400
 
 
+def test_a_server_that_is_full_is_not_taken_for_one_that_does_not_run() -> None:
+    async def full(socket: ServerConnection) -> None:
+        await socket.close(1013, "the server is full; try again later")
+
+    with pytest.raises(InputError, match=r"reached \(the server is full; try again later \[1013\]\)$"):
+        events_from(full)
+
+
 def test_nobody_there_and_wrong_addresses() -> None:
     async def first(url: str) -> None:
         async with aclosing(watch(url)) as events:
