@@ -69,6 +69,7 @@ class FirstFrame:
         points, found = timing("train", lambda: self._points(frame))
         trained = self._trainer.keyframe(frame, points, training)
         scene = trained.scene
+        self._tell(Progress("first frame", 1.0, trained.report.loss, scene.anchor_count))
         if version != frame.index:
             scene = replace(scene, keyframe=version, version=version)
             self._trainer.resume(scene, keep_references=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import threading
+from contextlib import closing
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -21,6 +22,7 @@ from streamlod.core.errors import InputError, ModelError
 from streamlod.core.frames import FrameSet
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.train import TrainedFrame, Trainer
+from streamlod.core.train.progress import Progress
 from streamlod.server.pipeline.clip import train_clip
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.stages.encoding import EncodedFrame
@@ -137,6 +139,14 @@ def test_previews_come_first_and_the_chain_holds(job: TrainJob) -> None:
     assert frames[: len(previews)] == previews
     assert [frame.version for frame in frames] == list(range(7))
     assert decoded(frames).version == 6
+
+
+def test_the_first_frame_is_told_of_to_its_end(job: TrainJob) -> None:
+    told: list[Progress] = []
+    with brief_training(steps=30), closing(train_stream(open_job(job), on_progress=told.append)) as frames:
+        next(frames)
+    fractions = [progress.fraction for progress in told]
+    assert (fractions, fractions[-1]) == (sorted(fractions), 1.0)
 
 
 @pytest.mark.long
