@@ -214,7 +214,12 @@ async def _joined(name: str, incarnation: str, groups: dict[Position, GroupFile]
         [(packet.info, packet.data) for packet in group] if isinstance(group, list) else group
         for _, group in sorted(groups.items())
     ]
-    pieces = await asyncio.to_thread(joined, parts)
+    try:
+        pieces = await asyncio.to_thread(joined, parts)
+    except OSError as error:
+        raise unreadable(error) from error
+    except StreamlodError as error:  # deleted meanwhile, or damaged
+        raise Problem(404, "a group of pictures of it cannot be read") from error
     state = f"{incarnation} {sorted(groups)} {list(map(size_of, pieces))}"
     return Download(pieces, digest(state.encode()), _FILE_TYPE, caching, f"{name}-{part}.slod")
 

@@ -8,6 +8,7 @@ writes to them.
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Collection
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
@@ -22,6 +23,7 @@ from streamlod.server.protocol.packets import PacketWindow, Position, StreamPack
 from streamlod.server.stream.recording.recording import Recording
 from streamlod.server.stream.recording.segment import Segment
 
+_LOG = logging.getLogger(__name__)
 _RECORD_SECONDS = 0.5  # that viewers wait for a disk, or for other servers, when these stand still
 GroupFile = Path | list[StreamPacket]  # a recorded group of pictures, or one in memory
 
@@ -204,8 +206,11 @@ def _filmed_in(path: Path, first: Position, last: Position) -> tuple[int | None,
 def _read_segments(segments: list[Segment], first: Position, last: Position) -> list[StreamPacket]:
     packets = []
     for segment in segments:
-        with SlodReader(segment.path) as reader:
-            for number, entry in enumerate(reader.entries):
-                if first <= Position(segment.first.epoch, entry.to_version) <= last:
-                    packets.append(stream_packet(-1, segment.first.epoch, reader.read(number)))
+        try:
+            with SlodReader(segment.path) as reader:
+                for number, entry in enumerate(reader.entries):
+                    if first <= Position(segment.first.epoch, entry.to_version) <= last:
+                        packets.append(stream_packet(-1, segment.first.epoch, reader.read(number)))
+        except (InputError, BitstreamError) as error:  # deleted meanwhile, or damaged: the rest can still be had
+            _LOG.warning("a recorded group is left out: %s", error)
     return packets

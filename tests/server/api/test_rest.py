@@ -19,7 +19,7 @@ from streamlod.server.auth.gate import hash_token
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Limits, Settings, load_settings
 from tests.codec.scenes import assert_same_state
-from tests.server.conftest import Clip, Running, kept_from, running, viewing
+from tests.server.conftest import Clip, Running, kept_from, make_clip, running, viewing
 from tests.waiting import wait
 
 
@@ -262,6 +262,24 @@ def test_a_window_that_moved_on_is_gone_not_unknown(clip: Clip) -> None:
         bus.window = kept_from(bus.window, newest.position)
         assert client.get("/v1/streams/main/packets/1/0").status_code == 410
         assert client.get("/v1/streams/main/packets/9/0").status_code == 404
+
+
+def test_a_recorded_group_whose_file_is_gone_is_left_out(tmp_path: Path) -> None:
+    clip = make_clip(tmp_path / "scene.slod", 12, counts=(5, 10), key_every=4)
+    settings = Settings(state=tmp_path / "state")
+    with running(settings) as server, server.client() as client:
+        client.post("/v1/streams", json={"id": "kept", "play": str(clip.path), "loop": False, "start": True})
+        server.wait(lambda stream: stream["state"] == "ended", "kept")
+    with running(settings) as server, server.client() as client:  # what was in memory is on the disk alone
+        server.wait(lambda stream: stream["version"] == 11, "kept")
+        (tmp_path / "state/streams/kept/000001-0000000004.slod").unlink()
+        for address, status in (("packets/1/3", 200), ("packets/1/5", 404), ("gops/1/4", 404), ("bitstream", 404)):
+            answer = client.get(f"/v1/streams/kept/{address}")
+            assert answer.status_code == status, address
+            assert str(tmp_path) not in answer.text
+        with viewing(server, "kept") as viewer:
+            viewer.hello(start={"epoch": 1, "version": 0})
+            viewer.until_version(11)
 
 
 def test_a_body_of_another_type_is_refused(client: httpx.Client) -> None:
