@@ -14,15 +14,15 @@ from streamlod.core.train.config import TrainConfig
 from streamlod.core.train.field.field import Field
 
 _REFINEMENTS = 8  # of one run, in which anchors are added and removed
-_EFFECT = 0.1  # of `effect_share`: none grows again in this run, and there are many such runs
 
 
 def refresh_config(config: TrainConfig, field: Field, version: int) -> TrainConfig:
     """The settings of a first frame's run, changed for `field`, the living anchors of a state at `version`.
 
     As many steps as configured, at full size and with all levels from the start. The number of levels stays. Anchors
-    that the pictures do not need go. Where later frames add anchors, none is added here; otherwise no more than go, or
-    their number would grow with every run.
+    that have faded go; those without effect stay, for what hides them now moves on, and hardly any would grow again.
+    Where later frames add anchors, none is added here; otherwise no more than go, or their number would grow with every
+    run.
     """
     steps = config.keyframe.refresh_steps
     most = 0 if any(part.adds_anchors for part in config.parts) else min(len(field), config.model.max_anchors)
@@ -31,7 +31,7 @@ def refresh_config(config: TrainConfig, field: Field, version: int) -> TrainConf
         steps=steps,
         half_size_until=0.0,
         progressive_until=0.0,
-        effect_share=_EFFECT * config.keyframe.effect_share,
+        effect_share=0.0,
         growth_interval=max(1, steps // _REFINEMENTS),
     )
     return replace(

@@ -118,6 +118,19 @@ def test_a_frame_budget_sends_the_state_as_it_is(clip: Dataset, frames: list[Fra
     assert after.residual.changed > 0
 
 
+@pytest.mark.long
+def test_keyframe_after_keyframe_keeps_what_is_hidden_for_now(
+    clip: Dataset, frames: list[FrameSet], first: Scene
+) -> None:
+    """Each of them once took a tenth of the anchors away, and a stream faded from keyframe to keyframe."""
+    trainer = trainer_at(clip, first, [])
+    for index, frame in enumerate([*frames[1:], *frames[4:1:-1]], 1):
+        shown = replace(frame, index=index)
+        trainer.predict(shown)
+        renewed = trainer.refresh(shown).scene
+    assert renewed.anchor_count > 0.85 * first.anchor_count
+
+
 @pytest.mark.parametrize("alive", [0, 1, 3])
 def test_a_scene_that_is_nearly_gone(clip: Dataset, frames: list[FrameSet], first: Scene, alive: int) -> None:
     """After a black picture, say: hardly an anchor lives, and none of them need be seen."""
