@@ -294,7 +294,8 @@ def _check_source(spec: StreamSpec) -> None:
     points = None if spec.job.points in POINT_METHODS else Path(spec.job.points)
     for name, path in (("data", spec.job.data), ("live", spec.job.live), ("points", points)):
         if isinstance(path, Path) and not path.exists():
-            raise InputError(name, f"there is no {str(path)!r:.200} on the server")
+            methods = f", and no method of this name: {', '.join(POINT_METHODS)}" if path is points else ""
+            raise InputError(name, f"there is no {str(path)!r:.200} on the server{methods}")
     check_job(spec.job)
 
 

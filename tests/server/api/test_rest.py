@@ -229,7 +229,10 @@ def test_a_recording_without_a_keyframe_makes_no_stream(client: httpx.Client, cl
         ({"synthetic": {"cameras": 3}, "test": ["cam07"]}, "cam07"),
         ({"synthetic": {"cameras": 3}, "train": ["cam07"]}, "cam07"),
         ({"synthetic": {"cameras": 3}, "views": 4}, "4 training cameras asked for"),
-        ({"points": "guessed"}, "points: there is no 'guessed' on the server"),
+        (
+            {"points": "guessed"},
+            "points: there is no 'guessed' on the server, and no method of this name: auto, colmap",
+        ),
         ({"preset": "best"}, "preset"),
     ],
 )
