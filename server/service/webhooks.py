@@ -104,7 +104,8 @@ async def _deliver_all(hook: _Hook, networks: tuple[str, ...]) -> None:
                 fault = await _deliver(client, hook, event, networks)
                 if fault is None:
                     break
-                _LOG.warning("webhook %s: %s is not delivered (%s)", hook.webhook.url, event.id, fault)
+                then = "it is given up" if pause is None else f"it is sent again in {pause:g} s"
+                _LOG.warning("webhook %s: %s is not delivered (%s); %s", hook.webhook.url, event.id, fault, then)
                 if pause is not None:
                     await asyncio.sleep(pause)
 

@@ -74,12 +74,16 @@ def test_an_event_is_signed_and_tried_again_until_it_is_taken(tmp_path: Path, mo
         assert headers["host"] == url.split("/")[2]
 
 
-def test_an_event_that_nobody_takes_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("streamlod.server.service.webhooks.RETRY_SECONDS", (0.01, 0.01))
+def test_an_event_that_nobody_takes_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("streamlod.server.service.webhooks.RETRY_SECONDS", (0.01, 0.02))
     with receiver(500) as (url, received), running(settings_for(tmp_path, url), _STREAM):
         wait(lambda: len(received) >= 6)
         kinds = [json.loads(body)["data"]["state"] for _, body in received]
         assert kinds == ["starting"] * 3 + ["failed"] * 3
+    told = [text.rpartition("; ")[2] for text in caplog.messages if "is not delivered" in text]
+    assert told[:3] == ["it is sent again in 0.01 s", "it is sent again in 0.02 s", "it is given up"]
 
 
 @pytest.mark.parametrize("networks", [(), ("10.0.0.0/8",)])
