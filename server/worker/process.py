@@ -258,7 +258,7 @@ def play(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
     from streamlod.server.pipeline.recorded import streamed_packets, whole_packets
 
     assert spec.play is not None
-    entries = streamed_packets(spec.play)
+    state, entries = _file_state(spec.play), streamed_packets(spec.play)
     start, damaged = 0, set[int]()
     if resume.frames:
         done = min(resume.frames, len(entries)) - 1
@@ -280,6 +280,16 @@ def play(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
         time.sleep(_frame_seconds(entries))
         sender.send(Tag.EPOCH)
         start = 0
+        if (now := _file_state(spec.play)) != state:  # somebody has put another one in its place
+            state, entries, damaged = now, streamed_packets(spec.play), set()
+
+
+def _file_state(path: Path) -> tuple[int, int] | None:
+    """Time and size of a file, which change with its content; None where there is no such file."""
+    with suppress(OSError):
+        found = path.stat()
+        return found.st_mtime_ns, found.st_size
+    return None
 
 
 def _frame_seconds(entries: Sequence[tuple[int, Any]]) -> float:

@@ -89,6 +89,30 @@ def test_what_is_damaged_of_a_file_is_left_out_up_to_the_next_keyframe(
     ]
 
 
+@pytest.mark.parametrize("frames", [3, 12])
+def test_a_file_that_is_written_over_while_it_is_played_follows_at_the_next_round(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frames: int
+) -> None:
+    clip = make_clip(tmp_path / "clip.slod", 6, counts=(5, 10), key_every=3, frame_ns=1)
+    other = make_clip(tmp_path / "other.slod", frames, counts=(10, 20), key_every=3, frame_ns=1)
+    monkeypatch.setattr("streamlod.server.worker.process.MAX_GAP_SECONDS", 0.0)
+    rounds: list[list[bytes]] = [[]]
+
+    def send(_: Sender, tag: Tag, body: bytes = b"") -> None:
+        if tag is Tag.PACKET:
+            rounds[-1].append(body)
+        if tag is Tag.EPOCH:
+            if len(rounds) == 2:
+                raise ConnectionResetError
+            rounds.append([])
+            clip.path.write_bytes(other.path.read_bytes())
+
+    monkeypatch.setattr("streamlod.server.worker.process.Sender.send", send)
+    with pytest.raises(ConnectionResetError):
+        play(StreamSpec(play=clip.path), Resume(), Sender(multiprocessing.Pipe()[1]))
+    assert rounds == [clip.packets, other.packets]
+
+
 def test_a_file_of_which_nothing_is_whole_fails_with_a_sentence_and_is_not_tried_again(tmp_path: Path) -> None:
     clip = make_clip(tmp_path / "clip.slod", 3, counts=(5, 10))
     damage(clip, 0)
