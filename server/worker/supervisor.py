@@ -231,7 +231,7 @@ class Supervisor:
                     if _is_progress(tag, body):
                         self._progressed = self._clock.now()
                 except Exception as error:
-                    of_file = self._spec.play is not None and isinstance(error, BitstreamError)
+                    of_file = self._spec.play is not None and isinstance(error, BitstreamError | ValueError)
                     if of_file:  # which stays as it is
                         self._ending = Ending(f"{self._spec.play} cannot be decoded ({error})", fatal=True)
                     else:

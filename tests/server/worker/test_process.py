@@ -122,14 +122,15 @@ def test_a_file_of_which_nothing_is_whole_fails_with_a_sentence_and_is_not_tried
     assert found["detail"] == f"{clip.path}: is damaged: none of its keyframes is whole"
 
 
+@pytest.mark.parametrize("places", [(0, 3), (0, 1, 2)])  # a change of another keyframe, and a version that was before
 def test_a_file_whose_packets_do_not_belong_together_is_not_tried_again(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, places: tuple[int, ...]
 ) -> None:
     one, other = (make_clip(tmp_path / f"{n}.slod", 2, counts=(5, n)) for n in (10, 20))
-    mixed = tmp_path / "mixed.slod"
+    mixed, packets = tmp_path / "mixed.slod", one.packets + other.packets
     with SlodWriter(mixed) as writer:
-        writer.append(one.packets[0])
-        writer.append(other.packets[1])
+        for place in places:
+            writer.append(packets[place])
     with running(Settings(), StreamSpec(play=mixed)) as server:
         found = server.wait(lambda stream: stream["state"] == "failed")
     assert found["restarts"] == 0
