@@ -106,6 +106,8 @@ class _Node:
                 self._connection = _Connection(self.url, self.token, self.trust)
             message = PushMessage(self.camera.name, sequence, taken.capture_ns, taken.codec, taken.body)
             if self._connection.send(message, self.pushed):
+                if self._told:
+                    _LOG.info("camera %s: connected", self.camera.name)
                 self._delay, self._told = _MIN_DELAY, ""
         except (WebSocketException, OSError) as error:
             self._break(error)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import ssl
 import subprocess
 import threading
@@ -161,9 +162,10 @@ def test_a_slow_server_gets_newer_pictures_and_drops_are_counted(folder: Path, s
 
 @pytest.mark.long
 def test_a_broken_connection_is_made_anew(
-    tmp_path: Path, served: tuple[Server, str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, served: tuple[Server, str], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The film is much longer than it takes to come back."""
+    caplog.set_level(logging.INFO, logger=node.__name__)
     monkeypatch.setattr(node, "_MAX_UNACKNOWLEDGED", 1000)  # pictures are dropped while there is no connection only
     write_clip(tmp_path / "cam0.ts", 3)
     server, url = served
@@ -173,6 +175,8 @@ def test_a_broken_connection_is_made_anew(
     assert server.taken[-1].sequence == 3 * FPS - 1
     assert pushed.dropped >= 5
     assert pushed.acknowledged + pushed.dropped == 3 * FPS
+    assert [text.endswith("trying again") for text in caplog.messages] == [True, False]
+    assert caplog.messages[1] == "camera cam0: connected"
 
 
 def test_a_server_that_falls_silent_is_left_and_what_it_did_not_take_is_counted(
