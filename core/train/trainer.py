@@ -134,7 +134,7 @@ class Trainer:
         with watch.stage("refresh"):
             # which anchors a step draws is left to training
             field = replace(state.field.with_rows(torch.nonzero(state.alive)[:, 0]), by_distance=False)
-            config = refresh_config(self._config, field, state.scene.version)
+            config = refresh_config(self._config, field, state.scene.version, self._first_count)
             cell = motion_cell_of(state.scene, self._config.predict)
             trainer = KeyframeTrainer(field, views, config, self._backend, self._exposure, cell)
             losses = _run(trainer, "keyframe", on_progress)

@@ -16,16 +16,16 @@ from streamlod.core.train.field.field import Field
 _REFINEMENTS = 8  # of one run, in which anchors are added and removed
 
 
-def refresh_config(config: TrainConfig, field: Field, version: int) -> TrainConfig:
+def refresh_config(config: TrainConfig, field: Field, version: int, first_count: int) -> TrainConfig:
     """The settings of a first frame's run, changed for `field`, the living anchors of a state at `version`.
 
     As many steps as configured, at full size and with all levels from the start. The number of levels stays. Anchors
-    that have faded go; those without effect stay, for what hides them now moves on, and hardly any would grow again.
-    Where later frames add anchors, none is added here; otherwise no more than go, or their number would grow with every
-    run.
+    that have faded go; those without effect stay, for what hides them now moves on. Others grow up to the number that
+    the first frame had, `first_count`, or to the present one: later frames add few, and in hundreds of frames a stream
+    would fade.
     """
     steps = config.keyframe.refresh_steps
-    most = 0 if any(part.adds_anchors for part in config.parts) else min(len(field), config.model.max_anchors)
+    most = min(max(first_count, len(field)), config.model.max_anchors)
     keyframe = replace(
         config.keyframe,
         steps=steps,

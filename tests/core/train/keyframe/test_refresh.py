@@ -122,13 +122,16 @@ def test_a_frame_budget_sends_the_state_as_it_is(clip: Dataset, frames: list[Fra
 def test_keyframe_after_keyframe_keeps_what_is_hidden_for_now(
     clip: Dataset, frames: list[FrameSet], first: Scene
 ) -> None:
-    """Each of them once took a tenth of the anchors away, and a stream faded from keyframe to keyframe."""
+    """Each of them once took a tenth of the anchors away, and a stream faded from keyframe to keyframe.
+
+    Nor does their number grow without end.
+    """
     trainer = trainer_at(clip, first, [])
     for index, frame in enumerate([*frames[1:], *frames[4:1:-1]], 1):
         shown = replace(frame, index=index)
         trainer.predict(shown)
         renewed = trainer.refresh(shown).scene
-    assert renewed.anchor_count > 0.85 * first.anchor_count
+    assert 0.93 * first.anchor_count < renewed.anchor_count < 1.05 * first.anchor_count
 
 
 @pytest.mark.parametrize("alive", [0, 1, 3])
