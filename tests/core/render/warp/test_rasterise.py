@@ -119,16 +119,16 @@ def test_pictures_outlive_their_gradients() -> None:
 def test_a_first_frame_trains_as_on_the_cpu() -> None:
     spec = SyntheticSpec(cameras=3, frames=1, width=64, height=36, seed=2)
     clip = open_synthetic(spec)
-    frame, config = next(iter(clip.frames())), with_settings(preset("live"), {"keyframe.steps": 60})
+    frame, config = next(iter(clip.frames())), with_settings(preset("live"), {"keyframe.steps": 24})
     points, views = true_points(spec), Views(clip.cameras, torch.from_numpy(frame.images) / 255, [0, 1, 2])
     losses = dict[Backend, list[float]]()
     for backend in BACKENDS:
         field = seed_field(points, clip.cameras, config.model, torch.Generator().manual_seed(0))
         trainer = KeyframeTrainer(field, views, config, backend, neutral(3), field.octree.motion_cell)
-        losses[backend] = [float(trainer.step()) for _ in range(60)]
+        losses[backend] = [float(trainer.step()) for _ in range(24)]
         assert trainer.broken == 0
     assert losses["warp"][:5] == pytest.approx(losses["cpu"][:5], rel=1e-3)
-    assert np.mean(losses["warp"][-15:]) == pytest.approx(np.mean(losses["cpu"][-15:]), rel=0.1)
+    assert np.mean(losses["warp"][-8:]) == pytest.approx(np.mean(losses["cpu"][-8:]), rel=0.1)
 
 
 def test_more_pairs_than_memory_holds_are_refused() -> None:
