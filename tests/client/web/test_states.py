@@ -220,7 +220,7 @@ def test_a_played_file_is_a_replay_that_can_be_sought(page: Any, clip: Clip, tmp
             writer.append(clip.residual(version - 1, version))
     page.add_init_script(KEEP_HISTORY)
     with running(Settings(), StreamSpec(play=recording, loop=True)) as server:
-        server.wait(lambda stream: (stream["version"] or 0) > 20, seconds=180)
+        server.wait(lambda stream: (stream["version"] or 0) > 20)
         page.goto(f"{server.url}/?quality=high")
         chip(page, "Replay")
         assert page.evaluate("phases") == ["connecting", "waiting", "replay"]

@@ -44,8 +44,9 @@ class StepRooms:
         if has is not None and (has.width, has.height, has.slots) == (need.width, need.height, need.slots):
             enough = replace(enough, **{name: max(getattr(enough, name), getattr(has, name)) for name in _LEAST})
         _LOG.debug("memory of training steps: %s", enough)
+        self.whole = self.half = None  # what there was goes first: not both fit everywhere
         whole = step_room(enough, self._device)
-        self.whole, self.half = TrainingStep(whole), None
+        self.whole = TrainingStep(whole)
         if half is not None:
             self.half = TrainingStep(room_beside(whole, *half, enough.moving_pairs, enough.still_pairs))
         return True

@@ -25,6 +25,26 @@ LARGEST = wp.constant(3.4028234e38)
 EPSILON = wp.constant(1e-15)
 
 
+@wp.func
+def sound(gradient: float, broken: wp.array[int]) -> float:
+    """A gradient, or zero where it is not finite, which is counted."""
+    found = gradient
+    if not (wp.abs(gradient) <= LARGEST):  # true for NaN too
+        found = 0.0
+        wp.atomic_add(broken, 0, 1)
+    return found
+
+
+@wp.func
+def stepped(
+    gradient: float, first: float, second: float, value: float, rate: float, inverse: float, told: wp.array[float]
+) -> wp.vec3:
+    """Both moments and the value after a step at `rate`; `inverse`: one over the second moment's correction."""
+    m = first + told[NEWS_FIRST] * (gradient - first)
+    v = second + told[NEWS_SECOND] * (gradient * gradient - second)
+    return wp.vec3(m, v, value - rate * m / (wp.sqrt(v * inverse) + EPSILON))
+
+
 @wp.kernel(enable_backward=False, grid_stride=False)
 def adam(
     told: wp.array[float],
@@ -46,18 +66,13 @@ def adam(
     """
     p = wp.tid()
     rate = wp.where(p % NUMBERS < LATENT_COUNT, told[RATE_LATENT], told[RATE_POSITION])
-    g = gradient[p]
+    g = sound(gradient[p], broken)
     gradient[p] = 0.0
-    if not (wp.abs(g) <= LARGEST):  # true for NaN too
-        g = 0.0
-        wp.atomic_add(broken, 0, 1)
-    m = first[p] + told[NEWS_FIRST] * (g - first[p])
-    v = second[p] + told[NEWS_SECOND] * (g * g - second[p])
-    value = values[p] - rate * m / (wp.sqrt(v * told[INVERSE_SECOND]) + EPSILON)
-    first[p] = m
-    second[p] = v
-    values[p] = value
-    mean[p] = mean[p] + told[MEAN_WEIGHT] * (value - mean[p])
+    now = stepped(g, first[p], second[p], values[p], rate, told[INVERSE_SECOND], told)
+    first[p] = now[0]
+    second[p] = now[1]
+    values[p] = now[2]
+    mean[p] = mean[p] + told[MEAN_WEIGHT] * (now[2] - mean[p])
     if p == 0:
         losses[int(told[PLACE])] = totals[SUM_LOSS] + told[PRICE] * totals[SUM_BITS]
         totals[SUM_LATENTS] = 0.0

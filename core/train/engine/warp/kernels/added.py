@@ -11,15 +11,13 @@ import warp as wp
 from streamlod.core.render.warp.kernels.rules import Cloud
 from streamlod.core.scene.anchors import SCALINGS
 from streamlod.core.scene.gaussians import MAX_LOG_SCALE
-from streamlod.core.train.engine.warp.kernels.adam import EPSILON, LARGEST
-from streamlod.core.train.engine.warp.kernels.decode import sigmoids
+from streamlod.core.train.engine.warp.kernels.adam import sound, stepped
+from streamlod.core.train.engine.warp.kernels.decode import bias_of, by_outputs, by_unit, with_unit, write
 from streamlod.core.train.engine.warp.kernels.layout import (
     HIDDEN_UNITS,
     MEAN_WEIGHT,
     NEW_INVERSE_SECOND,
     NEW_RATES,
-    NEWS_FIRST,
-    NEWS_SECOND,
     AnchorBase,
     Decoders,
     seen_from,
@@ -114,23 +112,14 @@ def decode_added(
     sizes = offsets + 3 * slots
     place = added.node[m] + three(values, added, m, sizes + SIZES)
     view = seen_from(decoders, place, chosen[d])
-    opacity = decoders.opacity[HIDDEN_UNITS, k]
-    colour = decoders.colour[HIDDEN_UNITS, k]
-    scale = decoders.scale[HIDDEN_UNITS, k]
-    turn = decoders.rotation[HIDDEN_UNITS, k]
+    outputs = bias_of(decoders, k)
     for j in range(HIDDEN_UNITS):
         h = wp.max(hidden_of(values, added, decoders, m, j, view), 0.0)
-        opacity += decoders.opacity[j, k] * h
-        colour += decoders.colour[j, k] * h
-        scale += decoders.scale[j, k] * h
-        turn += decoders.rotation[j, k] * h
+        outputs = with_unit(outputs, decoders, j, k, h)
     offset = three(values, added, m, offsets + 3 * k)
     i = (base.count[0] + m) * slots + k
-    cloud.means[d, i] = place + wp.cw_mul(offset, size_of(three(values, added, m, sizes)))
-    cloud.quaternions[d, i] = turn + wp.vec4(1.0, 0.0, 0.0, 0.0)
-    cloud.scales[d, i] = wp.cw_mul(size_of(three(values, added, m, sizes + 3)), sigmoids(scale))
-    cloud.opacities[d, i] = wp.tanh(opacity)
-    cloud.colours[d, i] = sigmoids(colour)
+    mean = place + wp.cw_mul(offset, size_of(three(values, added, m, sizes)))
+    write(cloud, d, i, mean, size_of(three(values, added, m, sizes + 3)), outputs)
 
 
 @wp.kernel(enable_backward=False, grid_stride=False)
@@ -165,24 +154,14 @@ def differentiate_added(
         pulls[k, m, j] = 0.0
     to_mean = wp.vec3(0.0, 0.0, 0.0)
     to_wide = wp.vec3(0.0, 0.0, 0.0)
-    one = wp.vec3(1.0, 1.0, 1.0)
     for d in range(cloud.means.shape[0]):
         view = seen_from(decoders, place, chosen[d])
-        shown = cloud.opacities[d, i]
-        tint = cloud.colours[d, i]
-        size = cloud.scales[d, i]
-        by_opacity = by.opacities[d, i] * (1.0 - shown * shown)
-        by_colour = wp.cw_mul(by.colours[d, i], wp.cw_mul(tint, one - tint))
-        widened = wp.cw_mul(by.scales[d, i], size)
-        by_scale = wp.cw_mul(widened, one - wp.cw_div(size, size_of(wide)))
-        by_turn = by.quaternions[d, i]
+        slopes = by_outputs(cloud, by, d, i, size_of(wide))
         to_mean += by.means[d, i]
-        to_wide += widened
+        to_wide += wp.cw_mul(by.scales[d, i], cloud.scales[d, i])
         for j in range(HIDDEN_UNITS):
             if hidden_of(values, added, decoders, m, j, view) > 0.0:
-                pull = decoders.opacity[j, k] * by_opacity + wp.dot(decoders.colour[j, k], by_colour)
-                pull += wp.dot(decoders.scale[j, k], by_scale) + wp.dot(decoders.rotation[j, k], by_turn)
-                pulls[k, m, j] += pull
+                pulls[k, m, j] += by_unit(slopes, decoders, j, k)
     moved = wp.cw_mul(to_mean, size_of(spread))
     to_spread = within(spread, wp.cw_mul(moved, offset))
     to_wide = within(wide, to_wide)
@@ -227,16 +206,12 @@ def adam_added(
     m, n = wp.tid()
     if m >= added.count[0]:
         return
-    g = pull_of(added, pulls, m, n)
-    if not (wp.abs(g) <= LARGEST):
-        g = 0.0
-        wp.atomic_add(broken, 0, 1)
+    g = sound(pull_of(added, pulls, m, n), broken)
     sizes = added.weight.shape[0] + 3 * pulls.shape[0]
     kind = int(n >= added.weight.shape[0]) + int(n >= sizes) + int(n >= sizes + SIZES)
-    a = first[m, n] + told[NEWS_FIRST] * (g - first[m, n])
-    b = second[m, n] + told[NEWS_SECOND] * (g * g - second[m, n])
-    value = values[m, n] - told[NEW_RATES + kind] * a / (wp.sqrt(b * told[NEW_INVERSE_SECOND]) + EPSILON)
-    first[m, n] = a
-    second[m, n] = b
-    values[m, n] = value
-    mean[m, n] = mean[m, n] + told[MEAN_WEIGHT] * (value - mean[m, n])
+    rate = told[NEW_RATES + kind]
+    now = stepped(g, first[m, n], second[m, n], values[m, n], rate, told[NEW_INVERSE_SECOND], told)
+    first[m, n] = now[0]
+    second[m, n] = now[1]
+    values[m, n] = now[2]
+    mean[m, n] = mean[m, n] + told[MEAN_WEIGHT] * (now[2] - mean[m, n])

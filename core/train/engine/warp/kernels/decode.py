@@ -39,6 +39,70 @@ def sigmoids(x: wp.vec3) -> wp.vec3:
     return wp.vec3(sigmoid(x[0]), sigmoid(x[1]), sigmoid(x[2]))
 
 
+@wp.struct
+class Outputs:
+    """The network's outputs for a Gaussian before activation, or a loss's gradient by them."""
+
+    opacity: float
+    colour: wp.vec3
+    scale: wp.vec3
+    turn: wp.vec4
+
+
+@wp.func
+def bias_of(decoders: Decoders, k: int) -> Outputs:
+    """The outputs without any hidden unit."""
+    outputs = Outputs()
+    outputs.opacity = decoders.opacity[HIDDEN_UNITS, k]
+    outputs.colour = decoders.colour[HIDDEN_UNITS, k]
+    outputs.scale = decoders.scale[HIDDEN_UNITS, k]
+    outputs.turn = decoders.rotation[HIDDEN_UNITS, k]
+    return outputs
+
+
+@wp.func
+def with_unit(outputs: Outputs, decoders: Decoders, j: int, k: int, h: float) -> Outputs:
+    """The outputs with hidden unit j, whose value is `h`."""
+    more = Outputs()
+    more.opacity = outputs.opacity + decoders.opacity[j, k] * h
+    more.colour = outputs.colour + decoders.colour[j, k] * h
+    more.scale = outputs.scale + decoders.scale[j, k] * h
+    more.turn = outputs.turn + decoders.rotation[j, k] * h
+    return more
+
+
+@wp.func
+def write(cloud: Cloud, d: int, i: int, mean: wp.vec3, size: wp.vec3, outputs: Outputs) -> None:
+    """Put a Gaussian at `mean`, at most of `size`, into the cloud."""
+    cloud.means[d, i] = mean
+    cloud.quaternions[d, i] = outputs.turn + wp.vec4(1.0, 0.0, 0.0, 0.0)
+    cloud.scales[d, i] = wp.cw_mul(size, sigmoids(outputs.scale))
+    cloud.opacities[d, i] = wp.tanh(outputs.opacity)
+    cloud.colours[d, i] = sigmoids(outputs.colour)
+
+
+@wp.func
+def by_outputs(cloud: Cloud, by: Cloud, d: int, i: int, size: wp.vec3) -> Outputs:
+    """The gradient by a Gaussian's outputs, of that by its numbers; `size` as for `write`."""
+    one = wp.vec3(1.0, 1.0, 1.0)
+    shown = cloud.opacities[d, i]
+    tint = cloud.colours[d, i]
+    scale = cloud.scales[d, i]
+    slopes = Outputs()
+    slopes.opacity = by.opacities[d, i] * (1.0 - shown * shown)
+    slopes.colour = wp.cw_mul(by.colours[d, i], wp.cw_mul(tint, one - tint))
+    slopes.scale = wp.cw_mul(wp.cw_mul(by.scales[d, i], scale), one - wp.cw_div(scale, size))
+    slopes.turn = by.quaternions[d, i]
+    return slopes
+
+
+@wp.func
+def by_unit(slopes: Outputs, decoders: Decoders, j: int, k: int) -> float:
+    """The gradient by hidden unit j."""
+    pull = decoders.opacity[j, k] * slopes.opacity + wp.dot(decoders.colour[j, k], slopes.colour)
+    return pull + wp.dot(decoders.scale[j, k], slopes.scale) + wp.dot(decoders.rotation[j, k], slopes.turn)
+
+
 @wp.kernel(enable_backward=False, grid_stride=False)
 def decode(
     values: wp.array[float],
@@ -65,25 +129,15 @@ def decode(
     go = going(values, base, a)
     place = base.node[a] + wp.vec3(dead_zone(go[0]), dead_zone(go[1]), dead_zone(go[2])) * base.step[a]
     view = seen_from(decoders, place, chosen[d])
-    opacity = decoders.opacity[HIDDEN_UNITS, k]
-    colour = decoders.colour[HIDDEN_UNITS, k]
-    scale = decoders.scale[HIDDEN_UNITS, k]
-    turn = decoders.rotation[HIDDEN_UNITS, k]
+    outputs = bias_of(decoders, k)
     for j in range(HIDDEN_UNITS):
         h = wp.max(hidden_unit(base, decoders, a, j, z, view), 0.0)
-        opacity += decoders.opacity[j, k] * h
-        colour += decoders.colour[j, k] * h
-        scale += decoders.scale[j, k] * h
-        turn += decoders.rotation[j, k] * h
+        outputs = with_unit(outputs, decoders, j, k, h)
     offset = base.offset[a, k]
     for n in range(12):
         offset += decoders.offset[n, k] * far[n]
     i = a * base.offset.shape[1] + k
-    cloud.means[d, i] = place + wp.cw_mul(offset, base.offset_size[a])
-    cloud.quaternions[d, i] = turn + wp.vec4(1.0, 0.0, 0.0, 0.0)
-    cloud.scales[d, i] = wp.cw_mul(base.scale_size[a], sigmoids(scale))
-    cloud.opacities[d, i] = wp.tanh(opacity)
-    cloud.colours[d, i] = sigmoids(colour)
+    write(cloud, d, i, place + wp.cw_mul(offset, base.offset_size[a]), base.scale_size[a], outputs)
     if d == 0 and k == 0:
         steps[a] = go
         latents = float(0.0)
@@ -120,22 +174,13 @@ def differentiate_decode(
     i = a * base.offset.shape[1] + k
     to_feature = vec12()
     to_mean = wp.vec3(0.0, 0.0, 0.0)
-    one = wp.vec3(1.0, 1.0, 1.0)
     for d in range(cloud.means.shape[0]):
         view = seen_from(decoders, place, chosen[d])
-        shown = cloud.opacities[d, i]
-        tint = cloud.colours[d, i]
-        size = cloud.scales[d, i]
-        by_opacity = by.opacities[d, i] * (1.0 - shown * shown)
-        by_colour = wp.cw_mul(by.colours[d, i], wp.cw_mul(tint, one - tint))
-        by_scale = wp.cw_mul(wp.cw_mul(by.scales[d, i], size), one - wp.cw_div(size, base.scale_size[a]))
-        by_turn = by.quaternions[d, i]
+        slopes = by_outputs(cloud, by, d, i, base.scale_size[a])
         to_mean += by.means[d, i]
         for j in range(HIDDEN_UNITS):
             if hidden_unit(base, decoders, a, j, z, view) > 0.0:
-                pull = decoders.opacity[j, k] * by_opacity + wp.dot(decoders.colour[j, k], by_colour)
-                pull += wp.dot(decoders.scale[j, k], by_scale) + wp.dot(decoders.rotation[j, k], by_turn)
-                to_feature += decoders.latent[j] * pull
+                to_feature += decoders.latent[j] * by_unit(slopes, decoders, j, k)
     moved = wp.cw_mul(to_mean, base.offset_size[a])
     for n in range(12):
         pulls[k, a, n] = to_feature[n]
