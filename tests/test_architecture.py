@@ -196,6 +196,8 @@ def test_the_ground_floor_needs_no_training_library() -> None:
         "codec.encoder",
         "codec.export",
         "client.viewing.record",
+        "core.train.presets.settings",
+        "server.pipeline.checks",
         "server.cli.main",
     ],
 )

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 from streamlod.core.errors import InputError
+from streamlod.core.train.presets.named import PRESETS
+from streamlod.core.train.presets.settings import with_settings
 from streamlod.server.pipeline.job import TrainJob
 
 if TYPE_CHECKING:
     from streamlod.core.synthetic import SyntheticSpec
 
-_SECONDS = 30  # for a process that loads the training library, on a busy machine
-
 
 def check_job(job: TrainJob) -> None:
     """Refuse settings of the method, a synthetic clip, or a choice of its cameras that cannot be.
 
-    Cameras of recordings and rigs are not looked at, as that means to open them. May take some seconds: the names of
-    settings are known to the training library alone, which a process of its own loads.
+    Cameras of recordings and rigs are not looked at, as that means to open them.
 
     Raises:
         InputError: one cannot be; the sentence names it.
@@ -33,7 +29,7 @@ def check_job(job: TrainJob) -> None:
         dataset = open_synthetic(synthetic_spec(job.synthetic))
         dataset.select(training_cameras(dataset.names, job.train, job.views, job.test))
     if job.set:
-        _check_settings(job.preset, job.set)
+        with_settings(PRESETS[job.preset], job.set)
 
 
 def synthetic_spec(values: dict[str, Any]) -> SyntheticSpec:
@@ -49,15 +45,3 @@ def synthetic_spec(values: dict[str, Any]) -> SyntheticSpec:
         if not fits:
             raise InputError("synthetic clip", f"{name} must be of type {kind.__name__}, not {value!r:.80}")
     return SyntheticSpec(**values)
-
-
-def _check_settings(preset: str, changes: dict[str, int | float | str | bool]) -> None:
-    command = [sys.executable, "-m", "streamlod.server.pipeline.settings_check"]
-    given = json.dumps({"preset": preset, "set": changes})
-    try:
-        done = subprocess.run(command, input=given, capture_output=True, text=True, timeout=_SECONDS, check=False)
-    except subprocess.TimeoutExpired:
-        return  # nothing is known against them; the worker tells
-    if done.returncode == 0 and done.stdout:
-        subject, fault = json.loads(done.stdout)
-        raise InputError(subject, fault)

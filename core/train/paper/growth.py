@@ -1,20 +1,16 @@
-"""Anchors are added where Gaussians in training have the largest gradients: the rule of Octree-GS in later frames."""
+"""The settings of the growth of the paper's later frames (`growing`)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
-import torch
-
-from streamlod.core.render.raster import Raster
-from streamlod.core.train.growth.gradient import GrowthStatistics, grow
-from streamlod.core.train.growth.new_anchors import first_values
-from streamlod.core.train.later_frame.comparison import Beginning
 from streamlod.core.train.later_frame.part import FramePart
-from streamlod.core.train.later_frame.parts.new_anchors import allowed
-from streamlod.core.train.later_frame.training import FrameTraining, Hooks
 from streamlod.core.train.setting import octree_gs, reading, setting
+
+if TYPE_CHECKING:
+    from streamlod.core.train.later_frame.comparison import Beginning
+    from streamlod.core.train.later_frame.training import Hooks
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,25 +44,9 @@ class PaperGrowth(FramePart):
 
     def begin(self, seen: Beginning) -> Hooks:
         """As `FramePart.begin`."""
+        from streamlod.core.train.later_frame.parts.adding import allowed
+        from streamlod.core.train.later_frame.training import Hooks
+        from streamlod.core.train.paper.growing import Growing
+
         most = allowed(seen, self.share, self.room)
-        return _Growing(self.at, self.threshold, most, seen) if most else Hooks()
-
-
-class _Growing(Hooks):
-    def __init__(self, at: float, threshold: float, most: int, seen: Beginning) -> None:
-        self._at, self._threshold, self._most, self._seen = at, threshold, most, seen
-        self._drawn, self._is_due = set[int](), True
-        self._statistics = GrowthStatistics(len(seen.rows), seen.state.field.slots, seen.rows.device)
-
-    def stepped(self, training: FrameTraining, number: int, raster: Raster, progress: float) -> None:
-        if not self._is_due:
-            return
-        self._drawn.add(number)
-        self._statistics.add_gradients(raster.probe)
-        if progress >= self._at and len(self._drawn) == len(training.numbers):
-            self._is_due = False
-            every, trained = self._seen.state.field, training.anchors.by_residuals()
-            gradient, highest = self._statistics.mean_gradient(), every.octree.levels - 1
-            new = grow(trained, gradient, self._threshold, highest, self._most, occupied=every)
-            generator = torch.Generator().manual_seed(len(self._seen.rows))
-            training.anchors.add(first_values(trained, new, generator))
+        return Growing(self.at, self.threshold, most, seen) if most else Hooks()

@@ -218,7 +218,6 @@ def test_a_recording_without_a_keyframe_makes_no_stream(client: httpx.Client, cl
     assert client.get("/v1/streams/headless").status_code == 404
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("fields", "sentence"),
     [
@@ -246,7 +245,6 @@ def test_what_no_worker_could_train_is_refused_at_once(
     assert client.get("/v1/streams/wrong").status_code == 404
 
 
-@pytest.mark.long
 def test_settings_that_are_known_are_no_fault(client: httpx.Client) -> None:
     body = {"id": "other", "synthetic": {"cameras": 3}, "test": ["cam01"], "set": {"keyframe.steps": 5}}
     assert client.post("/v1/streams", json=body).status_code == 201

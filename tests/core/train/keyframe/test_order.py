@@ -21,7 +21,7 @@ from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import field_of, scene_of
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.keyframe.order import LEVELS, in_order_of_effect
-from streamlod.core.train.later_frame.parts.new_anchors import by_width
+from streamlod.core.train.later_frame.parts.adding import by_width
 from tests.core.train.fields import random_field
 from tests.core.train.keyframe.test_first_frame import frames, printed_wall, ring, short, wall
 

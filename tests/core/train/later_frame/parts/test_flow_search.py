@@ -22,7 +22,7 @@ from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.later_frame.autograd.engine import AutogradEngine
 from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.parts import USUAL, FlowSearch
-from streamlod.core.train.later_frame.parts.flow_search import better_starts, guessed_positions
+from streamlod.core.train.later_frame.parts.flow_starts import better_starts, guessed_positions
 from streamlod.core.train.later_frame.training import FrameTraining
 from tests.core.train.motion.moved import RIG, Moved, moved_state
 from tests.core.true_points import true_points
