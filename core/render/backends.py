@@ -47,23 +47,39 @@ def select(device: str = "auto") -> Backend:
 
 
 def has_warp() -> bool:
-    """Whether torch finds a GPU, and Warp is installed to draw on it."""
-    if importlib.util.find_spec("torch") is None or importlib.util.find_spec("warp") is None:
-        return False
-    import torch
-
-    return torch.cuda.is_available()
+    """Whether Warp can draw on a GPU here."""
+    return warp_fault() is None
 
 
-@functools.cache
-def cuda_fault() -> str | None:
-    """Advice about what keeps the cuda backend, which is gsplat, from working; None where nothing does."""
+def warp_fault() -> str | None:
+    """Advice about what keeps Warp from drawing on a GPU; None where nothing does."""
+    if (missing := _torch_fault()) is not None:
+        return missing
+    if importlib.util.find_spec("warp") is None:
+        return f"install warp-lang>=1.19,<1.20, or {_REMEDY}"
+    from streamlod.core.render.warp import finds_gpu
+
+    if not finds_gpu():  # its CUDA may want a newer driver than torch's
+        return f"NVIDIA Warp cannot use this driver: install a newer one, or {_REMEDY}"
+    return None
+
+
+def _torch_fault() -> str | None:
+    """Advice about what keeps torch from computing on a GPU; None where nothing does."""
     if importlib.util.find_spec("torch") is None:
         return f"install torch built for CUDA, or {_REMEDY}"
     import torch
 
     if not torch.cuda.is_available():
         return f"torch finds no CUDA device: install a driver and torch built for CUDA, or {_REMEDY}"
+    return None
+
+
+@functools.cache
+def cuda_fault() -> str | None:
+    """Advice about what keeps the cuda backend, which is gsplat, from working; None where nothing does."""
+    if (missing := _torch_fault()) is not None:
+        return missing
     if importlib.util.find_spec("gsplat") is None:
         return f"install gsplat>=1.5.3,<1.6, or {_REMEDY}"
     if shutil.which("nvcc") is None and not _gsplat_is_compiled() and not _gsplat_was_built():

@@ -8,8 +8,11 @@ import pytest
 import torch
 
 from streamlod.core.errors import BackendUnavailable
-from streamlod.core.render import select
-from streamlod.core.render.backends import cuda_fault
+from streamlod.core.render import select, warp
+from streamlod.core.render.backends import cuda_fault, has_warp, warp_fault
+from streamlod.core.train import preset
+from streamlod.core.train.engine.named import named_engine
+from streamlod.core.train.presets.settings import with_settings
 from tests.core.render.scenes import make_camera, make_cloud, run
 
 
@@ -51,6 +54,7 @@ def test_each_missing_part_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_warp_draws_on_a_gpu_that_is_asked_for_and_lacks_gsplat(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(warp, "finds_gpu", lambda: True)
     spec = importlib.machinery.ModuleSpec("warp", None)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: spec if name in ("torch", "warp") else None)
     assert select("cuda") == "warp"
@@ -59,6 +63,22 @@ def test_warp_draws_on_a_gpu_that_is_asked_for_and_lacks_gsplat(monkeypatch: pyt
     cuda_fault.cache_clear()
     with pytest.raises(BackendUnavailable, match="no CUDA device"):
         select("cuda")
+
+
+@pytest.mark.skipif(warp.finds_gpu(), reason="the driver is new enough here")
+def test_a_driver_that_is_too_old_for_warp_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Torch's wheels of CUDA 12 work with drivers that Warp's of CUDA 13 refuse."""
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    specs = {name: importlib.machinery.ModuleSpec(name, None) for name in ("torch", "warp")}
+    monkeypatch.setattr(importlib.util, "find_spec", specs.get)
+    assert not has_warp()
+    with pytest.raises(BackendUnavailable, match="install gsplat"):
+        select("cuda")
+    config = with_settings(preset("live"), {"predict.engine": "warp"})
+    with pytest.raises(BackendUnavailable, match=r"install a newer one, .* or set predict.engine=autograd"):
+        named_engine(config, "cuda", "cuda")
+    del specs["warp"]
+    assert "install warp-lang" in str(warp_fault())
 
 
 def test_other_words_are_refused() -> None:
