@@ -10,7 +10,7 @@ import pytest
 
 from tests.bench import gpu_day, step_cost
 from tests.bench.gpu_day import SMALL
-from tests.bench.step_subject import make_step, told
+from tests.bench.step_subject import Sizes, make_step, told
 
 
 def test_a_step_has_few_nodes() -> None:
@@ -47,3 +47,33 @@ def test_a_gpu_day_goes_on_where_it_stopped(
     monkeypatch.setattr(sys, "argv", [*arguments, "nothing"])
     with pytest.raises(SystemExit):
         gpu_day.main()
+
+
+def test_a_gpu_day_tries_again_what_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(device: str, sizes: Sizes) -> gpu_day.Figures:
+        raise RuntimeError(f"no {device}")
+
+    file = tmp_path / "figures.json"
+    monkeypatch.setattr(gpu_day, "PARTS", {"steps": broken, "device": gpu_day.device_part})
+    monkeypatch.setattr(sys, "argv", ["gpu_day", "--device", "cpu", "--small", "--json", str(file)])
+    gpu_day.main()
+    found = json.loads(file.read_text())
+    assert found["steps"]["failed"] == "RuntimeError: no cpu"
+    assert found["device"]["warp"]
+    gpu_day.PARTS["steps"] = gpu_day.correctness
+    gpu_day.main()
+    found = json.loads(file.read_text())["steps"]
+    assert found.pop("seconds") > 0
+    assert not any(found.values())  # the CPU differs from itself in nothing
+
+
+def test_the_last_line_of_a_program_is_told_or_why_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    def said(program: str) -> str:
+        return gpu_day._said(sys.executable, "-c", program)
+
+    assert said("print('one\\ntwo')") == "two"
+    assert said("raise SystemExit('no')") == "no"
+    assert said("raise SystemExit(3)") == "exit code 3"
+    assert "nowhere" in gpu_day._said("/nowhere")
+    monkeypatch.setattr(gpu_day, "MAX_SECONDS", 0.1)
+    assert "timed out" in said("import threading; threading.Event().wait()")
