@@ -116,8 +116,11 @@ def tiles_of_row(place: wp.vec4, conic: wp.vec4, skew: float, determinant: float
         dy = wp.clamp(skew, top, bottom)
         right = -conic[1] * inverse_a * dy + wp.sqrt(wp.max(0.0, reach - dy * dy / determinant)) * inverse_a
         x = place[0] - 0.5
-        start = wp.max(start, int(wp.floor((x + left) / float(TILE_X) - SLACK)))
-        stop = wp.min(stop, int(wp.floor((x + right) / float(TILE_X) + SLACK)) + 1)
+        # held before they become integers, which are too small for the ends of the longest needles
+        first = wp.clamp((x + left) / float(TILE_X) - SLACK, float(box[0]), float(box[2]))
+        last = wp.clamp((x + right) / float(TILE_X) + SLACK, float(box[0] - 1), float(box[2] - 1))
+        start = int(wp.floor(first))
+        stop = int(wp.floor(last)) + 1
     return wp.vec2i(start, stop)
 
 
@@ -196,7 +199,7 @@ def project(
     layer.conic[v, i] = conic
     layer.colour[v, i] = colour
     at = wp.atomic_add(wanted, 0, pairs)
-    if at < 0 or at + pairs > layer.ids.shape[0] // 2:  # below zero: more than 2^31
+    if at < 0 or at > layer.ids.shape[0] // 2 - pairs:  # below zero: more than 2^31
         return  # `wanted` tells
     depth = wp.uint64(wp.cast(e.depth, wp.uint32))
     for row in range(box[1], box[3]):
@@ -209,22 +212,43 @@ def project(
             at += 1
 
 
+@wp.func
+def order_by_row(layer: Layer, first: int, end: int) -> None:
+    """Sort entries [first, end) of a list, which lie at one depth: threads that list them at once come in any order."""
+    for p in range(first + 1, end):
+        i = layer.ids[p]
+        q = int(p)
+        while q > first and layer.ids[q - 1] > i:
+            layer.ids[q] = layer.ids[q - 1]
+            q -= 1
+        layer.ids[q] = i
+
+
 @wp.kernel(enable_backward=False, grid_stride=False)
 def find_ranges(keys: wp.array[wp.uint64], layer: Layer) -> None:
-    """Where each tile's list begins and ends. Grid: the capacity of pairs. Tiles without any stay as they are."""
+    """Where each tile's list begins and ends; ties of depth by row. Grid: the capacity of pairs.
+
+    Tiles without any stay as they are.
+    """
     p = wp.tid()
     key = keys[p]
     none = wp.uint64(0xFFFFFFFFFFFFFFFF)
     if key == none:
         return
+    pairs = layer.ids.shape[0] // 2
     tile = int(key >> wp.uint64(32))
-    before = int(-1)
+    before = none
     if p > 0:
-        before = int(keys[p - 1] >> wp.uint64(32))
-    if before != tile:
+        before = keys[p - 1]
+    after = none
+    if p + 1 < pairs:
+        after = keys[p + 1]
+    if before == none or int(before >> wp.uint64(32)) != tile:
         layer.first[tile] = p
-    after = int(-1)
-    if p + 1 < layer.ids.shape[0] // 2 and keys[p + 1] != none:
-        after = int(keys[p + 1] >> wp.uint64(32))
-    if after != tile:
+    if after == none or int(after >> wp.uint64(32)) != tile:
         layer.last[tile] = p + 1
+    if before != key and after == key:
+        end = int(p + 2)
+        while end < pairs and keys[end] == key:
+            end += 1
+        order_by_row(layer, p, end)

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+import warp as wp
 
 from streamlod.core.arrays import Float32
 from streamlod.core.camera import Camera
 from streamlod.core.render import rasterise
+from streamlod.core.render.warp.kernels.project import project
+from streamlod.core.render.warp.kernels.rules import NO_KEY
 from streamlod.core.scene.gaussians import GaussianCloud
 from tests.core.render.scenes import BACKGROUND, NAMES, make_camera, make_cloud
 from tests.core.render.test_gradients import SCENES
-from tests.core.render.warp.drawing import drawing
+from tests.core.render.warp.drawing import DEVICE, drawing
 
 pytestmark = pytest.mark.long  # compiling the kernels takes a minute
 
@@ -150,6 +154,36 @@ def test_what_has_no_room_is_left_out_and_told() -> None:
     exact = drawing(cloud, (camera,), pairs=pairs)
     assert np.array_equal(exact.draw(), plenty.draw())
     assert exact.moving.overflow == 0
+
+
+def test_pairs_beyond_two_to_the_31_are_left_out() -> None:
+    camera = make_camera(61, 47)
+    subject = drawing(make_cloud(40), (camera,))
+    room, sight = subject.moving, subject.sight
+    room.keys.fill_(NO_KEY)
+    room.wanted.fill_(2**31 - 1)
+    given = [subject.count, subject.cloud, sight.chosen, sight.cameras, sight.grid, room.layer]
+    wp.launch(project, dim=(1, 40), inputs=[*given, room.keys, room.wanted, sight.dirty], device=DEVICE)
+    assert (room.keys.numpy() == NO_KEY).all()
+    assert room.overflow > 2**30
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_ties_of_depth_are_drawn_by_row_whoever_lists_first(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a GPU, threads put their pairs into the list in any order; on the CPU always by row."""
+    cloud, camera = make_cloud(40, seed=seed, size=0.4, spread=0.0), make_camera(61, 47)  # all in one place
+    sort = wp.utils.radix_sort_pairs
+
+    def shuffled(keys: Any, rows: Any, pairs: int, *bits: int) -> None:
+        order = np.arange(2 * pairs)
+        np.random.default_rng(seed).shuffle(order[: np.count_nonzero(keys.numpy()[:pairs] != NO_KEY)])
+        for array in (keys, rows):
+            array.assign(array.numpy()[order])
+        sort(keys, rows, pairs, *bits)
+
+    wanted = drawing(cloud, (camera,)).draw()
+    monkeypatch.setattr(wp.utils, "radix_sort_pairs", shuffled)
+    assert np.array_equal(drawing(cloud, (camera,)).draw(), wanted)
 
 
 def test_nothing_to_draw_shows_the_background() -> None:

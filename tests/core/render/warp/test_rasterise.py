@@ -9,7 +9,7 @@ import pytest
 import torch
 import warp as wp
 
-from streamlod.core.camera import Camera
+from streamlod.core.camera import Camera, pinhole
 from streamlod.core.errors import ModelError
 from streamlod.core.render import Backend, rasterise
 from streamlod.core.render.tiles import tile_grid
@@ -79,6 +79,15 @@ def test_odd_numbers_do_what_the_cpu_does(name: str, value: float) -> None:
     for each in NAMES:
         assert found.gradients[each].isfinite().all()
         assert relative(found.gradients[each], wanted.gradients[each]) < BOUND
+
+
+@pytest.mark.parametrize("length", [1e9, 1e10, 1e12])  # units, of ten pixels each
+def test_needles_beyond_all_integers_are_drawn(length: float) -> None:
+    camera, one = pinhole("axis", (50.0, 50.0), (50.0, 40.0), (100, 80), np.eye(4)), make_cloud(1)
+    facing, wide = np.float32([[1, 0, 0, 0]]), np.float32([[length, 2, 0.01]])
+    needle = replace(one, means=np.float32([[0, 0, 5]]), quaternions=facing, scales=wide, opacities=np.float32([0.8]))
+    found, wanted = run(needle, camera, "warp"), run(needle, camera, "reference")
+    assert float((found.image - wanted.image).abs().max()) < 1e-5
 
 
 def test_a_mask_keeps_the_base_and_stops_gradients() -> None:
