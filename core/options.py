@@ -37,6 +37,7 @@ class Option:
         minimum, maximum: smallest and largest number that is taken.
         max_length: most characters of a text, or items of a list.
         pattern: regular expression that the whole text matches, from ``^`` to ``$``.
+        matching: what such a text is, for people.
         choices: the values that are taken, where these are few.
         metavar: what stands for the value in the help of the command line.
         stream_default: default of a stream that is watched while it trains, where it is another than for a file.
@@ -50,6 +51,7 @@ class Option:
     maximum: float | None = None
     max_length: int | None = None
     pattern: str | None = None
+    matching: str = ""
     choices: tuple[str, ...] = ()
     metavar: str | None = None
     stream_default: Any = None
@@ -63,17 +65,25 @@ class Option:
         if not any(_is_of(value, kind) for kind in kinds):
             wanted = " or ".join(_KINDS[get_origin(kind) or kind] for kind in kinds)
             raise InputError(self.name, f"must be {wanted}, not {value!r:.80}")
+        if isinstance(value, dict):
+            self._check_items(value, next(get_args(kind)[1] for kind in kinds if get_origin(kind) is dict))
         if self.choices and value not in self.choices:
             raise InputError(self.name, f"must be one of {', '.join(self.choices)}, not {value!r:.80}")
         if self.minimum is not None or self.maximum is not None:
             low = -math.inf if self.minimum is None else self.minimum
             high = math.inf if self.maximum is None else self.maximum
             if not low <= value <= high:
-                raise InputError(self.name, f"must lie between {low:g} and {high:g}, not {value}")
+                raise InputError(self.name, f"must lie between {low:.10g} and {high:.10g}, not {value}")
         if self.pattern is not None and not re.fullmatch(self.pattern, value):
-            raise InputError(self.name, f"{value!r:.80} does not match {self.pattern}")
+            raise InputError(self.name, f"must be {self.matching}, not {value!r:.80}")
         if self.max_length is not None and len(value if isinstance(value, tuple) else str(value)) > self.max_length:
             raise InputError(self.name, f"is longer than {self.max_length}")
+
+    def _check_items(self, table: dict[str, Any], kind: Any) -> None:
+        for name, value in table.items():
+            if kind is not Any and not isinstance(value, kind):
+                wanted = "a number, text, or true or false"
+                raise InputError(self.name, f"{name:.80} must be {wanted}, not {value!r:.80}")
 
 
 def option(
@@ -84,6 +94,7 @@ def option(
     maximum: float | None = None,
     max_length: int | None = None,
     pattern: str | None = None,
+    matching: str = "",
     choices: tuple[str, ...] = (),
     metavar: str | None = None,
     stream_default: Any = None,
@@ -95,6 +106,7 @@ def option(
         "maximum": maximum,
         "max_length": max_length,
         "pattern": pattern,
+        "matching": matching,
         "choices": choices,
         "metavar": metavar,
         "stream_default": stream_default,

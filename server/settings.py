@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from streamlod.codec.packet.limits import DecoderLimits
 from streamlod.core.errors import InputError
+from streamlod.core.field_faults import first_fault
 from streamlod.server.pipeline.new_stream import NewStream
 
 MEGABYTE = 1_000_000
@@ -301,5 +302,5 @@ def load_settings(path: Path) -> Settings:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(path, f"cannot be read as TOML ({error})") from error
     except ValidationError as error:
-        first = error.errors()[0]
-        raise InputError(path, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+        place, fault = first_fault(error.errors())
+        raise InputError(path, f"{place}: {fault}") from error

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from datetime import datetime
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from streamlod.server.auth.links import MAX_LINK_SECONDS
 from streamlod.server.ingest.cameras.address import CAMERA_NAME
@@ -126,14 +127,27 @@ class Manifest(BaseModel):
     edges: list[str] = Field(description="addresses of servers at which the same stream can be watched")
 
 
+_LINK_PATH = rf"^(bitstream|sound|hls/index\.m3u8|(gops|packets)/[0-9]{{1,10}}/[0-9]{{1,10}}|ingest/{CAMERA_NAME})?$"
+
+
+def _checked_path(value: object) -> object:
+    """Refuse another path in words, before its pattern does."""
+    if isinstance(value, str) and not re.fullmatch(_LINK_PATH, value):
+        wanted = "bitstream, sound, hls/index.m3u8, gops/EPOCH/VERSION, packets/EPOCH/VERSION or ingest/CAMERA"
+        raise ValueError(f"must be {wanted}, or be left out, not {value!r:.80}")
+    return value
+
+
 class NewLink(BaseModel):
     """A download, or a phone that films as one camera, to make an address for."""
 
-    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [{"path": "bitstream", "seconds": 3600}]})
+    model_config = ConfigDict(
+        extra="forbid", strict=True, json_schema_extra={"examples": [{"path": "bitstream", "seconds": 3600}]}
+    )
 
-    path: str = Field(
+    path: Annotated[str, BeforeValidator(_checked_path)] = Field(
         default="",
-        pattern=rf"^(bitstream|sound|hls/index\.m3u8|(gops|packets)/[0-9]{{1,10}}/[0-9]{{1,10}}|ingest/{CAMERA_NAME})?$",
+        pattern=_LINK_PATH,
         description="download below the stream, all of them without; or `ingest/CAMERA` (right `publish`)",
     )
     seconds: int = Field(default=3600, ge=1, le=MAX_LINK_SECONDS, description="how long the address is good")

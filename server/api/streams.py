@@ -293,9 +293,10 @@ def _check_source(spec: StreamSpec) -> None:
         read_definition(spec.job.live)
     points = None if spec.job.points in POINT_METHODS else Path(spec.job.points)
     for name, path in (("data", spec.job.data), ("live", spec.job.live), ("points", points)):
-        if isinstance(path, Path) and not path.exists():
+        if isinstance(path, Path) and not (path.is_file() if path is points else path.exists()):
+            kind = "file " if path is points else ""
             methods = f", and no method of this name: {', '.join(POINT_METHODS)}" if path is points else ""
-            raise InputError(name, f"there is no {str(path)!r:.200} on the server{methods}")
+            raise InputError(name, f"there is no {kind}{str(path)!r:.200} on the server{methods}")
     check_job(spec.job)
 
 

@@ -83,11 +83,15 @@ class TrainJob:
         None, "Keep predicted packets to this rate, in kilobits a second.", minimum=1, maximum=1e7, metavar="KBPS"
     )
     title: str | None = option(
-        None, "What people call the scene; the file tells it.", max_length=MAX_TEXT, pattern=ONE_LINE
+        None,
+        "What people call the scene; the file tells it.",
+        max_length=MAX_TEXT,
+        pattern=ONE_LINE,
+        matching="one line of text",
     )
     licence: str | None = option(
         None, "Under which licence it may be used, as an SPDX expression or an address; the file tells it.",
-        metavar="CC-BY-4.0", max_length=MAX_TEXT, pattern=ONE_LINE,
+        metavar="CC-BY-4.0", max_length=MAX_TEXT, pattern=ONE_LINE, matching="one line of text",
     )  # fmt: skip
 
     def __post_init__(self) -> None:

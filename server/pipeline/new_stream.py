@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Callable
 from functools import reduce
 from pathlib import Path
 from types import UnionType
-from typing import Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
-from pydantic import ConfigDict, Field, create_model
+from pydantic import BeforeValidator, ConfigDict, Field, StrictBool, create_model
 
+from streamlod.core.errors import InputError
 from streamlod.core.options import Option
 from streamlod.server.pipeline.job import SOURCES
 from streamlod.server.pipeline.spec import STREAM_OPTIONS, StreamSpec, spec_from_json
@@ -49,7 +51,22 @@ def _field(option: Option) -> Any:
         "pattern": option.pattern,
     }
     given: dict[str, Any] = {name: bound for name, bound in bounds.items() if bound is not None}
-    return kind, Field(default=default, description=option.help, **given)
+    return Annotated[kind, BeforeValidator(_check(option))], Field(default=default, description=option.help, **given)
+
+
+def _check(option: Option) -> Callable[[Any], Any]:
+    """Refuses a value of JSON or TOML in the option's own words, before pydantic would take another type for it."""
+
+    def check(value: Any) -> Any:
+        is_path = isinstance(value, str) and Path in (option.type, *get_args(option.type))
+        given = Path(value) if is_path else tuple(value) if isinstance(value, list) else value
+        try:
+            option.check(given)
+        except InputError as error:
+            raise ValueError(error.fault) from error
+        return value
+
+    return check
 
 
 _StreamOptions = create_model("_StreamOptions", **{option.name: _field(option) for option in STREAM_OPTIONS})
@@ -63,7 +80,7 @@ class NewStream(_StreamOptions):  # type: ignore[misc, valid-type]
         json_schema_extra={"examples": [{"id": "stage", "synthetic": {"cameras": 5, "frames": 30}, "start": True}]},
     )
 
-    start: bool | None = Field(
+    start: StrictBool | None = Field(
         default=None, description="Start it at once; by default streams of the settings file do, others do not."
     )
 

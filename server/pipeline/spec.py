@@ -12,6 +12,7 @@ from streamlod.core.options import option, options_of
 from streamlod.server.pipeline.job import JOB_FIELDS, JOB_OPTIONS, MAX_PATH, SOURCES, TrainJob
 
 STREAM_ID = "^[a-z0-9][a-z0-9_-]{0,63}$"
+_ID_WORDS = "1 to 64 lower-case letters, digits, - or _"
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +23,7 @@ class StreamSpec:
         InputError: a bad id, no single source, or a value out of bounds.
     """
 
-    id: str = option("main", "Name in addresses: 1 to 64 lower-case letters, digits, - or _.", pattern=STREAM_ID)
+    id: str = option("main", f"Name in addresses: {_ID_WORDS}.", pattern=STREAM_ID, matching=_ID_WORDS)
     job: TrainJob | None = None
     play: Path | None = option(
         None,
@@ -36,7 +37,7 @@ class StreamSpec:
 
     def __post_init__(self) -> None:
         if not re.fullmatch(STREAM_ID, self.id):
-            raise InputError(f"stream {self.id!r:.80}", "an id is 1 to 64 lower-case letters, digits, - or _")
+            raise InputError(f"stream {self.id!r:.80}", f"an id is {_ID_WORDS}")
         for each in _OWN_OPTIONS:
             each.check(getattr(self, each.name))
         if (self.job is None) == (self.play is None):

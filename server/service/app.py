@@ -17,6 +17,8 @@ from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from starlette.exceptions import HTTPException
 
 from streamlod.core.errors import BackendUnavailable
+from streamlod.core.field_faults import first_fault
+from streamlod.core.masking import masked
 from streamlod.core.options import TOKEN_VARIABLE
 from streamlod.server.api import downloads, events, live, poster, push, recordings, server_info, streams, viewers
 from streamlod.server.api.access import grant_of, need, registry_of
@@ -179,6 +181,8 @@ def _add_errors(app: FastAPI) -> None:
             detail = f"there is nothing at {request.url.path[:200]}"
             wants_page = "text/html" in request.headers.get("accept", "")
             return problem_page(404, detail) if wants_page else problem_response(404, detail)
+        if error.status_code == 400:  # of the framework alone, which could not read the body
+            return problem_response(400, "the body is no JSON, or not in UTF-8, or nested too deeply")
         return problem_response(error.status_code, str(error.detail), dict(error.headers or {}))
 
     @app.exception_handler(RequestValidationError)
@@ -187,8 +191,12 @@ def _add_errors(app: FastAPI) -> None:
         kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
         if first["loc"][0] == "body" and kind not in {"", "application/json"} and not kind.endswith("+json"):
             return problem_response(415, "a body has the type application/json")
-        place = ".".join(str(part) for part in first["loc"])
-        return problem_response(422, f"{place}: {first['msg']}")
+        if first["type"] == "json_invalid":
+            return problem_response(
+                400, f"the body is no JSON ({first['ctx']['error']} at character {first['loc'][1]})"
+            )
+        place, fault = first_fault(error.errors(), skip=1)
+        return problem_response(422, masked(f"{place or 'the body'}: {fault}"))
 
 
 def _allowed(app: FastAPI, path: str) -> list[str]:

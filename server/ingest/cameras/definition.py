@@ -30,6 +30,7 @@ from streamlod.core.data.files import read_bytes
 from streamlod.core.data.pictures import MAX_SIDE
 from streamlod.core.data.sources import Videos
 from streamlod.core.errors import InputError
+from streamlod.core.field_faults import first_fault
 from streamlod.core.frames import PointCloud
 from streamlod.core.options import MAX_CAMERAS
 from streamlod.server.ingest.cameras.address import CAMERA_NAME, Address, parse_address
@@ -169,9 +170,8 @@ def _read(source: Path | dict[str, Any]) -> tuple[Path, _File]:
     try:
         file = _File.model_validate_json(text.removeprefix(BOM_UTF8))
     except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise InputError(path, f"{place}: {first['msg']}" if place else first["msg"]) from error
+        place, fault = first_fault(error.errors())
+        raise InputError(path, f"{place}: {fault}" if place else fault) from error
     names = [entry.name for entry in file.cameras]
     if len(set(names)) < len(names):
         double = next(name for name in names if names.count(name) > 1)

@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import httpx
 import jwt
@@ -230,7 +231,7 @@ def test_a_recording_without_a_keyframe_makes_no_stream(client: httpx.Client, cl
         ({"synthetic": {"cameras": 3}, "views": 4}, "4 training cameras asked for"),
         (
             {"points": "guessed"},
-            "points: there is no 'guessed' on the server, and no method of this name: auto, colmap",
+            "points: there is no file 'guessed' on the server, and no method of this name: auto, colmap",
         ),
         ({"preset": "best"}, "preset"),
     ],
@@ -281,6 +282,55 @@ def test_a_recorded_group_whose_file_is_gone_is_left_out(tmp_path: Path) -> None
         with viewing(server, "kept") as viewer:
             viewer.hello(start={"epoch": 1, "version": 0})
             viewer.until_version(11)
+
+
+@pytest.mark.parametrize(
+    ("body", "sentence"),
+    [
+        ({"id": "Stage"}, "id: must be 1 to 64 lower-case letters, digits, - or _, not 'Stage'"),
+        ({"id": 5}, "id: must be text, not 5"),
+        ({"start": "yes"}, "start: must be true or false, not 'yes'"),
+        ({"loop": "no"}, "loop: must be true or false, not 'no'"),
+        ({"on_demand": 1}, "on_demand: must be true or false, not 1"),
+        ({"frames": "5"}, "frames: must be a whole number, not '5'"),
+        ({"frames": 0}, "frames: must lie between 1 and 10000000, not 0"),
+        ({"downscale": True}, "downscale: must be a number, not True"),
+        ({"title": "two\nlines"}, "title: must be one line of text, not 'two\\nlines'"),
+        ({"set": {"keyframe.steps": None}}, "set: keyframe.steps must be a number, text, or true or false, not None"),
+        ({"frame": 5}, "frame: is not known; leave it out, or correct its name"),
+        ({"points": ""}, "points: there is no file '.' on the server, and no method of this name"),
+        ([], "the body: must be a table of names and values, not []"),
+        (b"", "the body: is missing, and has to be given"),
+        (b'{"id": "a",}', "the body is no JSON (Expecting property name enclosed in double quotes at character 11)"),
+        (b"\xff", "the body is no JSON, or not in UTF-8, or nested too deeply"),
+        (b"[" * 5000, "the body is no JSON, or not in UTF-8, or nested too deeply"),
+    ],
+)
+def test_a_wrong_body_is_refused_in_one_sentence(client: httpx.Client, body: Any, sentence: str) -> None:
+    if isinstance(body, dict):
+        body = {"id": "wrong", "synthetic": {}} | body
+    data = body if isinstance(body, bytes) else json.dumps(body)
+    answer = client.post("/v1/streams", content=data, headers={"Content-Type": "application/json"})
+    assert answer.status_code == (400 if sentence.startswith("the body is no JSON") else 422)
+    assert answer.json()["detail"].startswith(sentence)
+    assert client.get("/v1/streams/wrong").status_code == 404
+
+
+def test_other_wrong_fields_are_refused_in_one_sentence(client: httpx.Client, tmp_path: Path) -> None:
+    for method, path, body, sentence in (
+        ("GET", "?limit=500", None, "limit: must be at most 200, not '500'"),
+        ("GET", "/main/packets/x/0", None, "epoch: must be a whole number, not 'x'"),
+        ("DELETE", "/main?erase=perhaps", None, "erase: must be true or false, not 'perhaps'"),
+        ("POST", "/main/links", {"seconds": True}, "seconds: must be a whole number, not True"),
+        ("POST", "/main/links", {"path": "films"}, "path: must be bitstream, sound, hls/index.m3u8, gops/EPOCH"),
+        ("PATCH", "/main", {"loop": "no"}, "loop: must be true or false, not 'no'"),
+        ("POST", "", {"live": {"fps": "fast", "cameras": []}}, "rig definition: fps: must be a number, not 'fast'"),
+    ):
+        answer = client.request(method, f"/v1/streams{path}", json=body)
+        assert (answer.status_code, answer.json()["detail"][: len(sentence)]) == (422, sentence)
+    (tmp_path / "server.toml").write_text("[limits]\nviewrs = 5")
+    with pytest.raises(InputError, match=r"server\.toml: limits\.viewrs: is not known; leave it out"):
+        load_settings(tmp_path / "server.toml")
 
 
 def test_a_body_of_another_type_is_refused(client: httpx.Client) -> None:
