@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import AbstractContextManager
 from fractions import Fraction
 from pathlib import Path
+from shutil import disk_usage
 from types import TracebackType
 from typing import Any, Protocol, Self
 
@@ -16,6 +17,9 @@ from streamlod.core.files import put_in_place, temporary_beside, write_bytes
 
 _OTHERS = (".avi", ".gif", ".jpeg", ".jpg", ".m4v", ".mkv", ".mov", ".png", ".webm", ".webp")
 _QUALITY = "18"  # x264's constant rate factor: visually near lossless
+_LEFT_BYTES = 1 << 20  # of the disk, in which a film is ended, besides what follows
+_HELD_PICTURES = 64  # or fewer, that the encoder has taken and not given out
+_INDEX_BYTES = 64  # of a picture
 
 
 class Recorder(Protocol):
@@ -93,6 +97,7 @@ class _Mp4(AbstractContextManager["_Mp4"]):
         self._temporary = temporary_beside(path)
         self._container: Any = None
         self._stream: Any = None
+        self._largest = 0  # bytes of a picture so far
         self.count = 0
 
     def add(self, picture: UInt8) -> None:
@@ -110,8 +115,11 @@ class _Mp4(AbstractContextManager["_Mp4"]):
         if (height, width) != (self._stream.height, self._stream.width):
             raise InputError(self._path, "pictures changed their size; record each size into its own file")
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture[:height, :width]), format="rgb24")
+        self._check_room()
         try:
-            self._container.mux(self._stream.encode(frame))
+            packets = self._stream.encode(frame)
+            self._largest = max([self._largest, *(packet.size for packet in packets)])
+            self._container.mux(packets)
         except (av.FFmpegError, OSError) as error:
             raise self._unwritten(error) from error
         self.count += 1
@@ -136,6 +144,12 @@ class _Mp4(AbstractContextManager["_Mp4"]):
                 raise self._unwritten(fault) from fault
         finally:
             self._temporary.unlink(missing_ok=True)
+
+    def _check_room(self) -> None:
+        """Take no more pictures while the film can still be ended: what cannot be written later is lost as a whole."""
+        needed = _LEFT_BYTES + _HELD_PICTURES * self._largest + _INDEX_BYTES * self.count
+        if self.count and disk_usage(self._path.parent).free < needed:
+            raise InputError(self._path, "cannot be written any more (the disk is full); make room")
 
     def _unwritten(self, error: Exception) -> InputError:
         return InputError(self._path, f"cannot be written ({getattr(error, 'strerror', None) or error})")

@@ -58,7 +58,7 @@ async def record_stream(
         Number of pictures.
 
     Raises:
-        InputError: no server answers, the viewpoint does not exist, or nothing could be recorded.
+        InputError: no server answers, the viewpoint does not exist, the disk is full, or nothing could be recorded.
         SessionError: the server refuses us or breaks the protocol.
         FilmCutShort: either of them after the first picture; the recording is whole and holds those before it.
     """
@@ -79,14 +79,14 @@ async def record_stream(
                     break
                 await reception.handle(event)
         await reception.draw_kept()
+        while take.newest is not None and frames is not None and not take.is_full and take.moves():
+            await take.draw(take.newest)
     except BaseException as error:
         if take.count == 0 or not isinstance(error, InputError | SessionError):
             take.close(error)
             raise
         cut = FilmCutShort(out, str(error), take.count)
         cut.__cause__ = error
-    while cut is None and take.newest is not None and frames is not None and not take.is_full and take.moves():
-        await take.draw(take.newest)
     take.close(None)
     if take.count == 0:
         raise InputError(url, "the stream ended before it had a picture")

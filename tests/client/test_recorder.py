@@ -12,7 +12,7 @@ import pytest
 from streamlod.client.recorder import open_recorder, write_png
 from streamlod.core.arrays import UInt8
 from streamlod.core.errors import InputError
-from tests.small_disk import files_up_to
+from tests.small_disk import files_up_to, mounted_disk
 
 
 def picture(number: int, size: tuple[int, int] = (48, 64)) -> UInt8:
@@ -81,6 +81,25 @@ def test_a_full_disk_is_told_by_the_films_name_and_leaves_nothing(tmp_path: Path
     with files_up_to(3000), pytest.raises(InputError, match=r"/a\.mp4: cannot be written \(File too large\)"):
         film()
     assert [*tmp_path.iterdir()] == []
+
+
+def test_a_film_can_be_ended_when_the_disk_gets_full(tmp_path: Path) -> None:
+    """Pictures are refused while there is room for those that the encoder holds, and for the index."""
+    noise = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
+    with mounted_disk(tmp_path / "disk") as disk:
+        recorder = open_recorder(disk / "a.mp4", 30)
+
+        def film() -> None:
+            for shift in range(10_000):
+                recorder.add(np.roll(noise, 7 * shift, axis=1))
+
+        with pytest.raises(InputError, match="the disk is full"):
+            film()
+        recorder.__exit__(None, None, None)
+        assert [path.name for path in disk.iterdir()] == ["a.mp4"]
+        assert (disk / "a.mp4").stat().st_size > 1_000_000
+        with av.open(str(disk / "a.mp4")) as film:
+            assert len(list(film.decode(video=0))) == recorder.count
 
 
 def test_films_are_told_by_their_suffix_in_any_case(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +11,7 @@ import pytest
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Retention, Settings
 from tests.server.conftest import Clip, running
+from tests.small_disk import mounted_disk
 
 pytestmark = pytest.mark.long
 
@@ -19,13 +19,8 @@ pytestmark = pytest.mark.long
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
     """A disk of four megabytes."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=4m", "none", str(folder)]
-    if subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("small disks cannot be mounted here")
-    yield folder
-    subprocess.run(["umount", "-l", str(folder)], check=True)
+    with mounted_disk(tmp_path / "disk") as folder:
+        yield folder
 
 
 def fill(disk: Path) -> Path:

@@ -35,6 +35,7 @@ from streamlod.server.service.self_signed import write_self_signed
 from tests.client.clips import packets
 from tests.client.test_playback import WELCOME
 from tests.client.web.scenes import make_scene, moved
+from tests.small_disk import mounted_disk
 
 FPS = 10.0
 
@@ -147,6 +148,15 @@ def test_who_may_not_watch_any_more_keeps_the_film(tmp_path: Path) -> None:
     with pytest.raises(SessionError, match="the token has expired"):
         recorded([], tmp_path / "b.mp4", end=end)
     assert not (tmp_path / "b.mp4").exists()
+
+
+def test_a_disk_that_gets_full_keeps_the_film(tmp_path: Path) -> None:
+    with mounted_disk(tmp_path / "disk") as disk:
+        (disk / "other").write_bytes(bytes(3_000_000))
+        with pytest.raises(FilmCutShort, match=r"a\.mp4: cannot be written any more .*disk is full") as caught:
+            recorded(packets(states(80)), disk / "a.mp4")
+        with av.open(str(disk / "a.mp4")) as film:
+            assert len(list(film.decode(video=0))) == caught.value.kept > 0
 
 
 @pytest.mark.parametrize("missing", ["pydantic", "nothing"])
