@@ -124,12 +124,13 @@ class TrainedAnchors:
         """Take over what was trained elsewhere.
 
         Args:
-            latent: [n,24]. position: [n,3] in pixels. added: [m,F+3K+9], see `AddedAnchors.numbers`.
+            latent: [n,24]. position: [n,3] in pixels.
+            added: [m,F+3K+9], see `AddedAnchors.numbers`; [0,F+3K+9] where they came after the last step.
             broken: gradient entries that were not finite.
         """
         self.optimiser.parameters["latent"].copy_(latent)
         self.optimiser.parameters["position"].copy_(position)
-        if self._added is not None:
+        if self._added is not None and len(added):
             self._added.adopt(added)
         self._broken_elsewhere = broken
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import fields, replace
 
+from streamlod.core.render.cpu.listing import check_pairs
 from streamlod.core.train.engine.warp.room import Capacity, room_beside, step_room
 from streamlod.core.train.engine.warp.step import TrainingStep
 
@@ -57,9 +58,14 @@ class StepRooms:
         return [step for step in (self.whole, self.half) if step is not None]
 
     def counted(self, need: Capacity) -> Capacity:
-        """`need` with the pairs of Gaussian and tile that there were so far: half as many more may come in a step."""
+        """`need` with the pairs of Gaussian and tile that there were so far: half as many more may come in a step.
+
+        Raises:
+            ModelError: the Gaussians are so large that their lists would not fit.
+        """
         moving = max((step.room.moving.largest for step in self.steps), default=0)
         still = max((step.room.still.largest for step in self.steps), default=0)
+        check_pairs(max(moving, still))
         return replace(need, moving_pairs=round(_MOVING * moving), still_pairs=still)
 
     @property

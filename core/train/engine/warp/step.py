@@ -6,7 +6,9 @@ own recording. What differs from step to step lies in two small arrays, `told` a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import gc
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -64,7 +66,7 @@ class TrainingStep:
 
     def recorded(self) -> Any:
         """The graph of a step; recording does not run it."""
-        with wp.ScopedCapture(device=self.room.device) as capture:
+        with _no_collection(), wp.ScopedCapture(device=self.room.device) as capture:
             self.launch()
         return capture.graph
 
@@ -127,3 +129,15 @@ class TrainingStep:
         moments = [t.gradient, t.first, t.second, t.values, t.mean]
         given = [r.told, *moments, t.broken, t.totals, t.losses]
         wp.launch(adam, dim=c.numbers, inputs=given, device=r.device)
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Python collects no garbage meanwhile: a picture that is freed may ask torch's stream, which ends a recording."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()

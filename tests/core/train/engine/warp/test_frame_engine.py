@@ -116,6 +116,17 @@ def test_a_camera_that_comes_late_is_trained_too() -> None:
     assert abs(psnrs[0] - psnrs[1]) < 0.05
 
 
+def test_anchors_may_be_added_after_the_last_step() -> None:
+    clip, config, scene = clip_of("more moves")
+    last = {"predict.epochs": 1, "new_anchors.at": 0.7, "predict.engine": "warp"}  # 3 of 4 steps
+    trainer = Trainer(clip.cameras, with_settings(config, last), clip.fps, "cpu")
+    trainer.resume(scene)
+    done = trainer.predict(list(clip.frames())[1])
+    assert done.report.steps == 4
+    assert done.residual is not None
+    assert sum(len(level.added) for level in done.residual.levels) > 0
+
+
 def test_warp_alone_trains_a_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     """A GPU with a driver alone, whose place the CPU takes: first frame, what moves, recorded steps, keyframe."""
     clip, config, scene = clip_of("as usual")

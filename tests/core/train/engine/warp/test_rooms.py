@@ -9,6 +9,8 @@ import pytest
 import torch
 
 from streamlod.core.camera import pinhole
+from streamlod.core.errors import ModelError
+from streamlod.core.render.cpu.listing import MAX_PAIRS
 from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.engine.warp.frame_engine import WarpEngine
 from streamlod.core.train.engine.warp.rooms import StepRooms
@@ -68,3 +70,12 @@ def test_tiles_that_lack_gaussians_are_told_and_lose_nothing(caplog: pytest.LogC
     assert rooms.overflow > 0
     run(rooms, 60, WILD)  # has more from the start
     assert rooms.overflow == 0
+
+
+def test_more_pairs_than_memory_holds_are_refused() -> None:
+    rooms = StepRooms("cpu")
+    run(rooms, 60)
+    assert rooms.whole is not None
+    rooms.whole.room.still.most.fill_(MAX_PAIRS + 1)
+    with pytest.raises(ModelError, match="scales are out of hand"):
+        rooms.counted(rooms.whole.room.capacity)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import inspect
 import math
 from collections.abc import Iterator
@@ -165,6 +166,34 @@ def test_a_step_is_recorded_without_the_host(frame: SmallFrame, monkeypatch: pyt
     step.run(0, TOLD, (0, 1))
     with nothing_but_kernels(monkeypatch):
         step.recorded()
+
+
+def test_no_garbage_is_collected_while_a_step_is_recorded(frame: SmallFrame, monkeypatch: pytest.MonkeyPatch) -> None:
+    step, rounds, threshold = TrainingStep(frame.loaded(1)), list[str](), gc.get_threshold()
+    launch, inside = step.launch, list[str]()
+
+    def launched() -> None:
+        rounds.clear()
+        launch()
+        inside.extend(rounds)
+
+    def note(phase: str, _info: dict[str, int]) -> None:
+        rounds.append(phase)
+
+    monkeypatch.setattr(step, "launch", launched)
+    gc.callbacks.append(note)
+    gc.set_threshold(1)
+    try:
+        step.tell(0, TOLD, (1,))
+        step.launch()
+        assert inside  # so that it would be noticed
+        inside.clear()
+        step.recorded()
+        assert gc.isenabled()
+    finally:
+        gc.set_threshold(*threshold)
+        gc.callbacks.remove(note)
+    assert not inside
 
 
 @pytest.mark.parametrize("what", ["read", "wait", "take memory"])
