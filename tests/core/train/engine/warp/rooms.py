@@ -91,9 +91,9 @@ class SmallFrame:
         )
         return replace(usual, **changes)
 
-    def loaded(self, views: int, **changes: Any) -> StepRoom:
+    def loaded(self, views: int, device: str = "cpu", **changes: Any) -> StepRoom:
         """In memory, every tile dirty."""
-        room = step_room(self.capacity(views, **changes), "cpu")
+        room = step_room(self.capacity(views, **changes), device)
         self.load(room)
         return room
 

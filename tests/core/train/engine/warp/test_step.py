@@ -143,6 +143,24 @@ def test_replayed_steps_equal_launched_ones_after_all_inputs_changed() -> None:
     assert torch.equal(view_of(replayed.room.drawn.image), view_of(launched.room.drawn.image))
 
 
+@pytest.mark.cuda
+@pytest.mark.skipif(not wp.is_cuda_available(), reason="there is no GPU")
+@pytest.mark.parametrize("view_dependent", [False, True])
+def test_steps_on_a_gpu_launched_and_replayed_are_those_of_the_cpu(view_dependent: bool) -> None:
+    frame, cameras = small_frame(view_dependent=view_dependent), (2, 0)
+    here, there = (TrainingStep(frame.loaded(2, device)) for device in ("cpu", "cuda"))
+    here.run(0, TOLD, cameras)
+    for _ in range(3):  # the first is launched and recorded
+        there.run(0, TOLD, cameras)
+        for name in ("first", "second"):
+            one, other = (view_of(getattr(step.room.trained, name)).cpu() for step in (here, there))
+            assert relative(other, one.double()) < 1e-3
+        one, other = (view_of(step.room.trained.losses).cpu()[0] for step in (here, there))
+        assert float(other) == pytest.approx(float(one), rel=1e-4)
+        assert float((view_of(there.room.drawn.image).cpu() - view_of(here.room.drawn.image)).abs().max()) < 1e-4
+        frame.load(there.room)  # all as it was
+
+
 @contextmanager
 def nothing_but_kernels(patch: pytest.MonkeyPatch) -> Iterator[None]:
     """Fail where the host reads, waits, or takes memory of a device."""
