@@ -214,7 +214,10 @@ class EdgeStream(Stream):
 
     def _on_progress(self, message: dict[str, Any]) -> None:
         fraction, loss, text = message.get("fraction"), message.get("loss"), message.get("text")
-        if isinstance(fraction, int | float) and isinstance(loss, int | float | None) and isinstance(text, str):
+        if fraction is None:
+            self.progress = None
+            self.tell(event("progress"))
+        elif isinstance(fraction, int | float) and isinstance(loss, int | float | None) and isinstance(text, str):
             self.progress = {"fraction": fraction, "loss": loss, "text": text[:_MAX_DETAIL]}
             self.tell(event("progress", **self.progress))
 

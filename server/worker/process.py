@@ -19,6 +19,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +30,7 @@ from streamlod.core.gaps import MAX_GAP_SECONDS
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.worker.camera_pictures import CameraPictures
+from streamlod.server.worker.progress_report import ProgressReport
 
 if TYPE_CHECKING:
     from streamlod.core.scene.anchors import Scene
@@ -50,7 +52,7 @@ class Tag(IntEnum):
     PACKET = 1  # the packet
     PREVIEW = 2  # an early keyframe, shown but not recorded
     REPORT = 3  # JSON: figures of a finished frame
-    PROGRESS = 4  # JSON: fraction, loss, text
+    PROGRESS = 4  # JSON: fraction, loss, text; or null
     FAILURE = 5  # JSON: text, fatal, and refused, a `Shortage`, where there was no room for it
     EPOCH = 6  # empty: versions begin anew
     END = 7  # empty: the source has no more frames
@@ -198,23 +200,21 @@ def train(
         with suppress(ConnectionError):  # the server has gone, which ends this process elsewhere
             sender.send(Tag.SOUND, pack_piece(piece))
 
-    def tell(progress: Any) -> None:
-        body = {"fraction": float(progress.fraction), "loss": float(progress.loss), "text": str(progress.stage)}
-        sender.send(Tag.PROGRESS, body)
-
-    opened, pictures = open_job(job, push_socket, give_sound), None
-    if scene is not None:  # here, as the figures that are told below are of the rig that is read
-        opened = opened.continuing(scene)
-    if camera_pictures:
-        pictures = CameraPictures(opened.dataset.upright)
-        opened = replace(opened, on_read=pictures.note)
-    frames = train_stream(opened, resume=scene, start=start, previews=True, on_progress=tell)
-    with closing(frames), _told(opened, pictures, sender):
-        for encoded in frames:
-            for packet in encoded.packets:
-                sender.send(Tag.PREVIEW if encoded.preview else Tag.PACKET, packet)
-            if not encoded.preview:
-                sender.send(Tag.REPORT, encoded.report | {"stages": _stages(encoded)})
+    report = ProgressReport(partial(sender.send, Tag.PROGRESS))
+    with report.compiling():
+        opened, pictures = open_job(job, push_socket, give_sound), None
+        if scene is not None:  # here, as the figures that are told below are of the rig that is read
+            opened = opened.continuing(scene)
+        if camera_pictures:
+            pictures = CameraPictures(opened.dataset.upright)
+            opened = replace(opened, on_read=pictures.note)
+        frames = train_stream(opened, resume=scene, start=start, previews=True, on_progress=report.trained)
+        with closing(frames), _told(opened, pictures, sender):
+            for encoded in frames:
+                for packet in encoded.packets:
+                    sender.send(Tag.PREVIEW if encoded.preview else Tag.PACKET, packet)
+                if not encoded.preview:
+                    sender.send(Tag.REPORT, encoded.report | {"stages": _stages(encoded)})
 
 
 def _stages(encoded: EncodedFrame) -> list[tuple[str, int, int]]:

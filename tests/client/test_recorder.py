@@ -89,12 +89,12 @@ def test_a_film_can_be_ended_when_the_disk_gets_full(tmp_path: Path) -> None:
     with mounted_disk(tmp_path / "disk") as disk:
         recorder = open_recorder(disk / "a.mp4", 30)
 
-        def film() -> None:
+        def add() -> None:
             for shift in range(10_000):
                 recorder.add(np.roll(noise, 7 * shift, axis=1))
 
         with pytest.raises(InputError, match="the disk is full"):
-            film()
+            add()
         recorder.__exit__(None, None, None)
         assert [path.name for path in disk.iterdir()] == ["a.mp4"]
         assert (disk / "a.mp4").stat().st_size > 1_000_000

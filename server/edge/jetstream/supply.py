@@ -142,7 +142,7 @@ class ArchivedStream:
             state = told.description
             if not self._lost:
                 taker.on_event(event("state", state=state.state, detail=state.detail))
-            if state.progress is not None and state.progress != progress:
+            if state.progress != progress:
                 progress = state.progress
-                taker.on_event(event("progress", **progress))
+                taker.on_event(event("progress", **(progress or {})))
             await asyncio.sleep(_LOOK_SECONDS)
