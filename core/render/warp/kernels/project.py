@@ -214,14 +214,17 @@ def project(
 
 @wp.func
 def order_by_row(layer: Layer, first: int, end: int) -> None:
-    """Sort entries [first, end) of a list, which lie at one depth: threads that list them at once come in any order."""
-    for p in range(first + 1, end):
-        i = layer.ids[p]
-        q = int(p)
-        while q > first and layer.ids[q - 1] > i:
-            layer.ids[q] = layer.ids[q - 1]
-            q -= 1
-        layer.ids[q] = i
+    """Sort entries [first, end) of a list (Shell 1959), which lie at one depth: threads list them in any order."""
+    gap = int(end - first)
+    while gap > 1:
+        gap = gap // 2
+        for p in range(first + gap, end):
+            i = layer.ids[p]
+            q = int(p)
+            while q - gap >= first and layer.ids[q - gap] > i:
+                layer.ids[q] = layer.ids[q - gap]
+                q -= gap
+            layer.ids[q] = i
 
 
 @wp.kernel(enable_backward=False, grid_stride=False)
