@@ -28,7 +28,7 @@ class TileLists:
     Attributes:
         layer: what is drawn.
         keys: [2*pairs] uint64 view, tile and depth of each pair of Gaussian and tile; half of it work memory.
-        wanted: [1] int32 pairs that there were at last; most: [1] the largest number before.
+        wanted: [1] int64 pairs that there were at last; most: [1] the largest number before.
         pairs: capacity.
     """
 
@@ -41,7 +41,7 @@ class TileLists:
     @property
     def largest(self) -> int:
         """The most pairs that there were so far, with those that had no room; waits for the device."""
-        return max(int(count.numpy().view(np.uint32)[0]) for count in (self.wanted, self.most))
+        return max(int(count.numpy()[0]) for count in (self.wanted, self.most))
 
     @property
     def overflow(self) -> int:
@@ -67,7 +67,7 @@ def listing(views: int, gaussians: int, pairs: int, grid: Any, device: str) -> T
     layer.last = wp.zeros(views * grid.tiles, dtype=int, device=device)
     layer.ids = wp.zeros(2 * pairs, dtype=int, device=device)
     keys = wp.zeros(2 * pairs, dtype=wp.uint64, device=device)
-    wanted, most = (wp.zeros(1, dtype=int, device=device) for _ in range(2))
+    wanted, most = (wp.zeros(1, dtype=wp.int64, device=device) for _ in range(2))
     return TileLists(layer, keys, wanted, most, pairs)
 
 

@@ -155,7 +155,7 @@ def project(
     grid: TileGrid,
     layer: Layer,
     keys: wp.array[wp.uint64],
-    wanted: wp.array[int],
+    wanted: wp.array[wp.int64],
     dirty: wp.array2d[int],
 ) -> None:
     """Grid (views, capacity of Gaussians).
@@ -198,9 +198,10 @@ def project(
     layer.place[v, i] = place
     layer.conic[v, i] = conic
     layer.colour[v, i] = colour
-    at = wp.atomic_add(wanted, 0, pairs)
-    if at < 0 or at > layer.ids.shape[0] // 2 - pairs:  # below zero: more than 2^31
+    place_in_list = wp.atomic_add(wanted, 0, wp.int64(pairs))
+    if place_in_list > wp.int64(layer.ids.shape[0] // 2 - pairs):
         return  # `wanted` tells
+    at = int(place_in_list)
     depth = wp.uint64(wp.cast(e.depth, wp.uint32))
     for row in range(box[1], box[3]):
         span = tiles_of_row(place, conic, skew, e.determinant, box, row)

@@ -156,16 +156,18 @@ def test_what_has_no_room_is_left_out_and_told() -> None:
     assert exact.moving.overflow == 0
 
 
-def test_pairs_beyond_two_to_the_31_are_left_out() -> None:
+@pytest.mark.parametrize("before", [2**31 - 1, 2**32 - 100, 2**40])
+def test_pairs_beyond_all_integers_are_left_out_and_told(before: int) -> None:
     camera = make_camera(61, 47)
     subject = drawing(make_cloud(40), (camera,))
     room, sight = subject.moving, subject.sight
     room.keys.fill_(NO_KEY)
-    room.wanted.fill_(2**31 - 1)
+    room.wanted.fill_(before)
     given = [subject.count, subject.cloud, sight.chosen, sight.cameras, sight.grid, room.layer]
     wp.launch(project, dim=(1, 40), inputs=[*given, room.keys, room.wanted, sight.dirty], device=DEVICE)
     assert (room.keys.numpy() == NO_KEY).all()
-    assert room.overflow > 2**30
+    subject.draw()
+    assert room.largest > before
 
 
 @pytest.mark.parametrize("seed", range(3))
