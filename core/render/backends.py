@@ -59,9 +59,14 @@ def warp_fault() -> str | None:
         return f"install warp-lang>=1.19,<1.20, or {_REMEDY}"
     from streamlod.core.render.warp import finds_gpu
 
-    if not finds_gpu():  # its CUDA may want a newer driver than torch's
-        return f"NVIDIA Warp cannot use this driver: install a newer one, or {_REMEDY}"
-    return None
+    try:
+        if finds_gpu():
+            return None
+    except OSError as error:
+        return f"NVIDIA Warp cannot keep its kernels ({error}): name another folder in XDG_CACHE_HOME, or {_REMEDY}"
+    return (
+        f"NVIDIA Warp cannot use this driver: install a newer one, or {_REMEDY}"  # its CUDA may be newer than torch's
+    )
 
 
 def _torch_fault() -> str | None:

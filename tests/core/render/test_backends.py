@@ -2,7 +2,11 @@
 
 import importlib.machinery
 import importlib.util
+import os
 import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 import torch
@@ -79,6 +83,16 @@ def test_a_driver_that_is_too_old_for_warp_is_told(monkeypatch: pytest.MonkeyPat
         named_engine(config, "cuda", "cuda")
     del specs["warp"]
     assert "install warp-lang" in str(warp_fault())
+
+
+def test_a_folder_that_takes_no_kernels_of_warp_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    program = "import torch; torch.cuda.is_available = lambda: True; "
+    program += "from streamlod.core.render.backends import warp_fault; print(warp_fault())"
+    places = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "file")}
+    done = subprocess.run([sys.executable, "-c", program], env=places, capture_output=True, text=True, check=True)
+    assert "Not a directory" in done.stdout
+    assert "XDG_CACHE_HOME" in done.stdout
 
 
 def test_other_words_are_refused() -> None:
