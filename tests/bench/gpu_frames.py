@@ -44,7 +44,7 @@ def frame_figures(device: str, width: int, height: int, cameras: int, first_step
             seconds.append({**done.report.seconds, "all": done.report.total_seconds})
             found[f"{engine}: steps of the last frame"] = done.report.steps
         whole, changed = _quality(trainer.scene, clip.cameras, later[-1].images, moving.masks(FRAMES, later[-1].images))
-        stages = {name: 1e3 * float(np.median([each[name] for each in seconds[1:]])) for name in seconds[-1]}
+        stages = {name: 1e3 * float(np.median([each.get(name, 0.0) for each in seconds[1:]])) for name in seconds[-1]}
         found |= {f"{engine}: ms, {name}": spent for name, spent in stages.items()}
         found |= {
             f"{engine}: PSNR at the cameras": whole,
