@@ -33,7 +33,7 @@ class StreamSpec:
     )
     loop: bool = option(True, "Begin a played file again at its end.")
     on_demand: bool = option(False, "Start with the first viewer, and stop some time after the last one.")
-    recorded: bool = True  # in the state folder; not what `serve --play` plays, as that is a recording already
+    recorded: bool = True  # in the state folder, of a file once; not what `serve --play` plays, as it is a recording
 
     def __post_init__(self) -> None:
         if not re.fullmatch(STREAM_ID, self.id):

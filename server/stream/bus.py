@@ -73,6 +73,7 @@ class Bus:
         keeps: whether new packets are recorded there; where not, it holds those of earlier times.
 
     Attributes:
+        keeps: see above; as it is now.
         outbox: for other servers, or None.
     """
 
@@ -83,6 +84,12 @@ class Bus:
         self.recording = recording
         self.keeps = keeps and recording is not None
         self._newest: dict[str, asyncio.Future[None]] = {}  # of each writer, what viewers waited for last
+
+    async def stop_keeping(self) -> None:
+        """Record no more packets, as the same ones come again; unless a fault has kept some from the disk."""
+        if self.recording is not None and self.keeps and self.recording.fault is None:
+            self.keeps = False
+            await self.recording.close()
 
     async def record(self, packet: StreamPacket) -> None:
         """Have the packet written, on disk and for other servers, and wait for that: nobody gets what could be lost.

@@ -173,6 +173,7 @@ class WorkerStream(Stream):
     def _launch(self) -> None:
         self.work.begin()
         self.progress = None
+        self.bus.keeps = self.bus.recording is not None and self.spec.recorded
         self._supervisor = self._make_supervisor()
         self.enter("starting")
         self._task = asyncio.create_task(self._supervisor.run())

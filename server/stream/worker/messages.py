@@ -56,6 +56,8 @@ class WorkerMessages:
                 self._stream.camera_pictures = self._stream.camera_pictures | unpack_pictures(body)
             case Tag.EPOCH:
                 self.run = self.run.anew()
+                if self._stream.played_file is not None:
+                    await self._stream.bus.stop_keeping()
 
     async def _take_packet(self, data: bytes, *, record: bool) -> None:
         """Decode a packet, record it, send it and retain it, in this order: nobody gets what is unusable or lost."""

@@ -282,15 +282,19 @@ def test_a_web_token_is_withdrawn_by_its_name_or_hash(tmp_path: Path) -> None:
 def test_recordings_are_listed_downloaded_by_time_and_deleted(clip: Clip, tmp_path: Path) -> None:
     with running(Settings(state=tmp_path), _play(clip)) as server, server.client() as client:
         client.post("/v1/streams", json={"id": "gone", "play": str(clip.path), "start": True})
-        server.wait(lambda stream: (stream["epoch"] or 0, stream["version"] or 0) > (2, 70))
+        server.wait(lambda stream: (stream["epoch"] or 0) > 1)
+        client.post("/v1/streams/main/stop")
+        again = server.stream()["epoch"] + 1
+        client.post("/v1/streams/main/start")
+        server.wait(lambda stream: (stream["epoch"] or 0, stream["version"] or 0) > (again, 70))
         client.delete("/v1/streams/gone")
         client.post("/v1/streams/main/stop")
         page = client.get("/v1/recordings", params={"limit": 2}).json()
         found = page["items"] + client.get("/v1/recordings", params={"cursor": page["next_cursor"]}).json()["items"]
         places = [(each["stream"], each["epoch"], each["deleted"]) for each in found]
         assert ("gone", 1, True) in places
-        assert ("main", 2, False) in places
-        gops = client.get("/v1/streams/main/manifest").json()["gops"]
+        assert ("main", again, False) in places
+        gops = [gop for gop in client.get("/v1/streams/main/manifest").json()["gops"] if gop["begun_ns"] is not None]
         second, third = (datetime.fromtimestamp(gop["begun_ns"] / 1e9, UTC) for gop in gops[1:3])
         moment = timedelta(milliseconds=1)
         window = {"from": (second + moment).isoformat(), "to": (third - moment).isoformat()}

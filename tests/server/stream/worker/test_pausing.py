@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from streamlod.codec.container import SlodReader
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 from streamlod.server.stream.worker_stream import WorkerStream
@@ -42,10 +43,33 @@ def test_nothing_is_made_while_nobody_watches(clip: Clip, tmp_path: Path, kept: 
     assert not list(tmp_path.rglob("*.slod"))
 
 
-def test_what_is_recorded_does_not_pause(clip: Clip, tmp_path: Path) -> None:
-    with running(Settings(on_demand_seconds=0, state=tmp_path), StreamSpec(play=clip.path)) as server:
-        server.wait(lambda stream: stream["epoch"] is not None and stream["epoch"] >= 2)
-        assert not server.registry.streams["main"].is_paused
+def test_what_is_recorded_does_not_pause_and_is_recorded_once(clip: Clip, tmp_path: Path) -> None:
+    """Once after each start, that is; its later rounds pause, as they are not recorded."""
+    settings = Settings(on_demand_seconds=0, state=tmp_path)
+    with running(settings, StreamSpec(play=clip.path)) as server, server.client() as client:
+        stream = server.registry.streams["main"]
+        wait(lambda: stream.is_paused)
+        first = recorded(tmp_path)
+        assert set(first) == {1}
+        assert first[1] == clip.packets
+        with viewing(server) as viewer:
+            viewer.hello()
+            viewer.until("epoch")
+            assert recorded(tmp_path) == first
+        assert client.post("/v1/streams/main/stop").json()["recording"] == "off"
+        last = server.stream()["epoch"]
+        assert client.post("/v1/streams/main/start").json()["recording"] == "on"
+        wait(lambda: stream.is_paused)
+        assert recorded(tmp_path) == first | {last + 1: clip.packets}
+
+
+def recorded(folder: Path) -> dict[int, list[bytes]]:
+    """Recorded packets by epoch."""
+    found: dict[int, list[bytes]] = {}
+    for path in sorted(folder.rglob("*.slod")):
+        with SlodReader(path) as reader:
+            found.setdefault(int(path.name.split("-")[0]), []).extend(reader.packets())
+    return found
 
 
 def test_a_played_file_of_the_command_line_is_not_recorded(clip: Clip) -> None:
