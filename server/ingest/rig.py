@@ -47,8 +47,6 @@ class _Last:
 
     source: ClockSource | None = None
     error_ns: int = 0
-    drift_ppm: float = 0.0
-    connections: int = 0
     fault: str = ""
     refused: str = ""  # why its newest picture could not be used
     shift: float | None = None  # pixels that its picture has moved, at a width of 1000
@@ -324,7 +322,7 @@ class Rig:
             silences = self._synchroniser.silences_ns(now)
             cameras = {}
             for name, last in self._last.items():
-                clock, connections = clocks.get(name, (None, 0))
+                clock, connections = clocks.get(name, (None, last.claims))
                 drift = 0.0 if clock is None else clock.drift_ppm
                 cameras[name] = CameraStatistics(
                     states[name],

@@ -17,7 +17,7 @@ class CameraStatistics:
         error_ns: how far off they may be.
         drift_ppm: how much faster its clock runs than the wall's, in millionths.
         counts: of its pictures.
-        connections: how often it was connected.
+        connections: how often it was connected; of a camera that is pushed, how often somebody began to push it.
         fault: why it does not deliver; empty if it does.
         refused: why its newest picture could not be used for training; empty when it could.
         shift: how far what it sees has moved since it is read, in pixels at a width of 1000; None where not known.

@@ -132,6 +132,17 @@ def test_capture_nodes_are_told_that_the_server_stops(caplog: pytest.LogCaptureF
     assert [record.getMessage() for record in caplog.records if record.levelno >= logging.ERROR] == []
 
 
+def test_connections_of_pushed_cameras_are_counted() -> None:
+    with stage(Settings(), rig((WIDTH, HEIGHT), 2)) as found:
+        for count in (1, 2):
+            with pushing(found) as node:
+                for sequence in range(3):
+                    assert film(node, "phone1", sequence)["type"] == "ack"
+                told = found.dataset.statistics()
+                assert told is not None
+                assert {name: one.connections for name, one in told.cameras.items()} == {"phone1": count, "phone2": 0}
+
+
 def test_questions_are_answered_and_others_close() -> None:
     with stage(Settings(), rig((WIDTH, HEIGHT), 2)) as found:
         with pushing(found) as one, pushing(found) as two:
