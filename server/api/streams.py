@@ -139,7 +139,8 @@ async def change_stream(
     if_match: IfMatchHeader = None,
 ) -> StreamBody:
     """Change what a stream is made from: the fields that are given, `null` for a default, take effect at its next
-    start. A stream that runs, or that the settings file defines, is not changed (409)."""
+    start. One that waits for its first viewer, and is not to wait (`on_demand`), starts at once. A stream that runs, or
+    that the settings file defines, is not changed (409)."""
     registry = registry_of(request)
     check_match(stream, if_match)
     spec = await _checked(lambda: body.apply_to(stream.spec), request)

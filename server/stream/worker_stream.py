@@ -58,15 +58,18 @@ class WorkerStream(Stream):
         created_ns = recording.stored.created_ns if recording else time.time_ns()
         self.created_at = datetime.fromtimestamp(created_ns / 1e9, UTC)
         self.work = Work(self, settings.on_demand_seconds)
+        self._armed = False  # whether the next viewer starts it
         self.define(spec, push_socket)
         self._supervisor = self._make_supervisor()
         self._task: asyncio.Task[None] | None = None
-        self._armed = False  # whether the next viewer starts it
         self._parting: asyncio.TimerHandle | None = None  # runs while nobody watches a stream on demand
         self._retiring: asyncio.Task[None] | None = None  # ends its worker until somebody comes
 
     def define(self, spec: StreamSpec, push_socket: Path | None) -> None:
-        """Make it from something else, from its first frame on; only while it does not run."""
+        """Make it from something else, from its first frame on; only while it does not run.
+
+        One that waits for its first viewer starts now if it is not to wait any more.
+        """
         self.spec, self.push_socket = spec, push_socket
         self.work.define(self.etag if spec.job else "", on_demand=spec.on_demand)
         self.source, self.played_file = spec.source, spec.play
@@ -75,6 +78,9 @@ class WorkerStream(Stream):
         self.file_sound = None
         if sound is not None:
             self.file_sound = {"begin_ns": sound.begin_ns, "channels": sound.channels, "live": False}
+        self._armed = self._armed and spec.on_demand
+        if self.detail == _WAITS:
+            self.start()
 
     @property
     def etag(self) -> str:

@@ -133,6 +133,23 @@ def test_a_stream_on_demand_runs_while_somebody_watches(server: Running, client:
     assert client.delete("/v1/streams/asked", params={"erase": True}).status_code == 204
 
 
+def test_a_stream_that_is_to_wait_no_more_for_a_viewer_starts(
+    server: Running, client: httpx.Client, slow_clip: Clip
+) -> None:
+    body = {"id": "waiting", "play": str(slow_clip.path), "on_demand": True, "start": True}
+    waiting = client.post("/v1/streams", json=body).json()
+    assert (waiting["state"], waiting["detail"]) == ("idle", "it starts with its first viewer")
+    assert client.patch("/v1/streams/waiting", json={"loop": False}).json()["detail"] == waiting["detail"]
+    assert client.patch("/v1/streams/waiting", json={"on_demand": False}).json()["state"] == "starting"
+    server.wait(lambda stream: stream["state"] == "live", "waiting")
+    assert client.post("/v1/streams/waiting/stop").json()["state"] == "idle"
+    assert client.patch("/v1/streams/waiting", json={"on_demand": True}).json()["state"] == "idle"
+    with viewing(server, "waiting") as viewer:
+        viewer.hello()
+        assert client.get("/v1/streams/waiting").json()["state"] == "idle"  # it was stopped
+    client.delete("/v1/streams/waiting")
+
+
 def test_a_stream_on_demand_that_ended_plays_from_its_begin_for_the_next_viewer(clip: Clip, tmp_path: Path) -> None:
     settings = Settings(state=tmp_path, on_demand_seconds=0.1)
     with running(settings) as server, server.client() as client:
