@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from streamlod.codec.container import SlodReader, SlodWriter
@@ -26,7 +27,8 @@ class Segment:
         path: its `.slod` file.
         first, last: positions of its keyframe and of its newest packet.
         packets, size_bytes: count and sum of sizes of its packets.
-        begun_ns: Unix time of its keyframe; of a group of an earlier run as the times of its file and packets tell.
+        begun_ns: Unix time of its keyframe; of a group of an earlier run as `dated` finds it, or else as the times of
+            its file and packets tell.
         begun: monotonic time of its keyframe [s]; used for retention, as the system clock may be set.
         closed: whether it has its index and will not change.
     """
@@ -39,6 +41,14 @@ class Segment:
     begun_ns: int
     begun: float
     closed: bool
+
+    def follows(self, other: Segment) -> bool:
+        """Whether it is the next one of the same run; a keyframe may have the version of the packet before it."""
+        return self.first.epoch == other.first.epoch and self.first.version <= other.last.version + 1
+
+    def begun_at(self, unix_ns: int) -> Segment:
+        """The same of another time, which is known better."""
+        return replace(self, begun_ns=unix_ns, begun=_monotonic(unix_ns))
 
     @property
     def kept_bytes(self) -> int:
@@ -80,6 +90,21 @@ def restored(path: Path) -> Segment | None:
     size = sum(entry.size_bytes for entry in entries)
     begun_ns = max(0, written_ns - max(0, entries[-1].time_ns - entries[0].time_ns))
     return Segment(path, first, last, len(entries), size, begun_ns, _monotonic(begun_ns), True)
+
+
+def dated(segments: Sequence[Segment], begun: Mapping[str, int]) -> list[Segment]:
+    """Segments on disk, oldest first, with the times of their keyframes.
+
+    Of the first one of a run `begun` tells it, by the name of its file; a later one began when the one before ended.
+    How long packets were filmed tells less: training them may take longer.
+    """
+    found: list[Segment] = []
+    for before, segment in zip((None, *segments), segments, strict=False):
+        begun_ns = begun.get(segment.path.stem)
+        if begun_ns is None and before is not None and segment.follows(before):
+            begun_ns = before.path.stat().st_mtime_ns
+        found.append(segment if begun_ns is None else segment.begun_at(begun_ns))
+    return found
 
 
 def unlink(path: Path) -> None:
