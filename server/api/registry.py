@@ -157,6 +157,7 @@ class Registry:
                 await stream.delete(erase=erase)
             finally:  # it has stopped for good, whatever of it cannot be erased
                 del self.streams[stream.id]
+                self.configured -= {stream.id}  # whoever makes one of this id now may change it
             if recording is not None and not erase:
                 self.kept[stream.id] = recording
             self.feed.tell("stream.deleted", stream.id, erased=erase)

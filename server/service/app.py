@@ -177,8 +177,12 @@ def _add_errors(app: FastAPI) -> None:
         allowed = _allowed(app, request.url.path) if error.status_code in {404, 405} else []
         if allowed and request.method not in allowed:  # the page's files lie behind and know of no other methods
             return problem_response(405, "this address takes other methods", {"Allow": ", ".join(allowed)})
-        if error.status_code == 404 and not request.url.path.startswith("/v1/"):
+        if error.status_code in {404, 405}:
             detail = f"there is nothing at {request.url.path[:200]}"
+            if request.url.path.startswith("/v1/"):
+                return problem_response(404, detail)
+            if error.status_code == 405:
+                return problem_response(405, "this address takes other methods", dict(error.headers or {}))
             wants_page = "text/html" in request.headers.get("accept", "")
             return problem_page(404, detail) if wants_page else problem_response(404, detail)
         if error.status_code == 400:  # of the framework alone, which could not read the body

@@ -316,6 +316,22 @@ def test_a_wrong_body_is_refused_in_one_sentence(client: httpx.Client, body: Any
     assert client.get("/v1/streams/wrong").status_code == 404
 
 
+@pytest.mark.parametrize("path", ["/v1/streams/", "/v1//streams", "/v1/streams/main/manifests"])
+@pytest.mark.parametrize("method", ["GET", "POST"])
+def test_an_address_that_is_none_is_told(client: httpx.Client, method: str, path: str) -> None:
+    answer = client.request(method, path)
+    assert (answer.status_code, answer.json()["detail"]) == (404, f"there is nothing at {path}")
+
+
+def test_a_stream_in_the_place_of_one_of_the_settings_can_be_changed(clip: Clip) -> None:
+    with running(Settings(), StreamSpec(play=clip.path, on_demand=True)) as server, server.client() as client:
+        refused = client.patch("/v1/streams/main", json={"loop": False})
+        assert (refused.status_code, "of the settings" in refused.text) == (409, True)
+        assert client.delete("/v1/streams/main").status_code == 204
+        assert client.post("/v1/streams", json={"id": "main", "play": str(clip.path)}).status_code == 201
+        assert client.patch("/v1/streams/main", json={"loop": False}).json()["loop"] is False
+
+
 def test_other_wrong_fields_are_refused_in_one_sentence(client: httpx.Client, tmp_path: Path) -> None:
     for method, path, body, sentence in (
         ("GET", "?limit=500", None, "limit: must be at most 200, not '500'"),
