@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from typing import Any
 
 import numpy as np
 import torch
@@ -37,6 +38,7 @@ class WarpEngine:
         self._reached: list[bool] | None = None
         self._steps: FrameSteps | None = None
         self._has_added = False
+        self._taken: Any = None  # event after the step before
         self._is_half = task.seen.coarse is not task.seen.pictures
 
     def plan(self, number: int) -> bool:
@@ -61,6 +63,7 @@ class WarpEngine:
             self._has_added = True
         loss = self._steps.take(step, (number,), self._settings(decay), counts=counts)
         image, light = (view_of(part)[0].clone() for part in (step.room.drawn.image, step.room.drawn.light))
+        self._keep_pace(loss.device)
         return loss, Raster(image, light, Probe(torch.empty(0, dtype=torch.int64)))
 
     def finish(self) -> None:
@@ -95,6 +98,14 @@ class WarpEngine:
     def _current(self) -> TrainingStep:
         """Steps of the size that is trained now."""
         return self._rooms.half if self._is_half and self._rooms.half is not None else self._whole
+
+    def _keep_pace(self, device: torch.device) -> None:
+        """Wait for the step before this one: a frame's pace goes by the clock, and asking for a step takes no time."""
+        if device.type == "cpu":
+            return
+        before, self._taken = self._taken, torch.get_device_module(device).current_stream().record_event()
+        if before is not None:
+            before.synchronize()
 
     def _settings(self, decay: float) -> StepSettings:
         config, anchors = self._task.config, self._task.anchors
