@@ -18,8 +18,10 @@ Engine = Literal["auto", "autograd", "warp"]
 class ModelConfig:
     """The model of a scene: levels, anchors and their numbers."""
 
-    gaussians_per_anchor: int = setting(2, "K of each anchor", given(10, "V-A", "K is 10"))
-    features: int = setting(16, "size F of an anchor's feature", octree_gs(32, "its feature size"))
+    gaussians_per_anchor: int = setting(
+        2, "K of each anchor", given(10, "V-A", "K is 10"), least=1, most=16
+    )  # more are not decoded (codec/FORMAT.md), nor more features
+    features: int = setting(16, "size F of an anchor's feature", octree_gs(32, "its feature size"), least=3, most=64)
     view_dependent: bool = setting(
         False,
         "feed direction and distance to the network",
@@ -29,6 +31,7 @@ class ModelConfig:
         16.0,
         "width of a level-0 cell as seen from the reference distance, in pixels",
         reading(4.0, "0.001 is given without a unit (docs/method.md, reading 6)"),
+        least=1,
     )
     levels: int | None = setting(
         None,
@@ -45,7 +48,11 @@ class ModelConfig:
         reading(0.0, "first points fill cells of every level"),
     )
     max_anchors: int = setting(
-        128_000, "most anchors that there may be", reading(40_000, "no limit is given; this one bounds memory")
+        128_000,
+        "most anchors that there may be",
+        reading(40_000, "no limit is given; this one bounds memory"),
+        least=16,
+        most=1 << 20,
     )
     selection: LevelSelection = setting(
         "all",
@@ -150,7 +157,7 @@ class KeyframeConfig:
         reading(1.0, "without effect, as no step hides fine levels"),
     )
     growth_interval: int = setting(
-        25, "steps between two refinements", given(200, "V-A", "gradients are averaged over 200 steps")
+        25, "steps between two refinements", given(200, "V-A", "gradients are averaged over 200 steps"), least=1
     )
     growth_from: float = setting(
         0.05,
@@ -245,6 +252,7 @@ class PredictConfig:
         0.6,
         "Adam's beta_1; a few dozen steps are too few for a long one",
         reading(0.9, "none given; the usual one of Adam"),
+        most=0.999,
     )
     final_rate: float = setting(
         0.3,
@@ -266,6 +274,7 @@ class PredictConfig:
         32,
         "steps in which anchors move, to a motion cell: one of the third finest level",
         reading(16, "positions are float32 there; ours are integers, which must be sent"),
+        least=1,
     )
     rate_weight: float = setting(
         0.007,
@@ -284,6 +293,7 @@ class PredictConfig:
         "difference",
         "motion cue, a name in `core.train.motion.cues`",
         given("canonical", "IV-B", "the frame is compared with a rendering of the first"),
+        choices=("difference", "canonical", "everything"),
     )
     posterior: float = setting(
         0.05,
@@ -302,7 +312,10 @@ class PredictConfig:
         reading("auto", "not mentioned"),
     )
     partition_interval: int = setting(
-        1, "frames between partitions; 4 in the paper's star variant", given(1, "IV-D", "every frame is partitioned")
+        1,
+        "frames between partitions; 4 in the paper's star variant",
+        given(1, "IV-D", "every frame is partitioned"),
+        least=1,
     )
 
 

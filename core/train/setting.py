@@ -25,9 +25,23 @@ class Choice:
     why: str
 
 
-def setting(default: _Value, meaning: str, paper: Choice) -> _Value:
-    """A field of a configuration, with `meaning` and `paper` in its metadata."""
-    return field(default=default, metadata={"meaning": meaning, "paper": paper})
+def setting(
+    default: _Value,
+    meaning: str,
+    paper: Choice,
+    *,
+    least: float = 0,
+    most: float = 10_000_000,
+    choices: tuple[str, ...] = (),
+) -> _Value:
+    """A field of a configuration, with what is said of it in its metadata.
+
+    Args:
+        least, most: bounds of a number that is given by name.
+        choices: the texts that can be given, where these are few and the type does not tell them.
+    """
+    told = {"meaning": meaning, "paper": paper, "least": least, "most": most, "choices": choices}
+    return field(default=default, metadata=told)
 
 
 def given(value: Any, section: str, what: str) -> Choice:

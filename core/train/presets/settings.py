@@ -22,7 +22,6 @@ PARTS = {part.name: part for part in (*USUAL, *OF_LATER_FRAMES)}
 Value = int | float | str | bool
 _GROUPS = ("model", "keyframe", "predict")
 _LIST = "parts"
-_MAX_NUMBER = 10_000_000.0
 
 
 def with_settings(config: TrainConfig, changes: Mapping[str, Value]) -> TrainConfig:
@@ -71,12 +70,17 @@ def _changed(config: TrainConfig, name: str, value: Value) -> TrainConfig:
 
 
 def _replaced(settings: Any, name: str, setting: str, value: Value) -> Any:
-    return replace(settings, **{setting: _typed(name, get_type_hints(type(settings))[setting], value)})
+    told = next(field.metadata for field in fields(settings) if field.name == setting)
+    return replace(settings, **{setting: _typed(name, get_type_hints(type(settings))[setting], told, value)})
 
 
-def _typed(name: str, kind: Any, value: Value) -> Value | None:
-    """`value` as a setting of the type `kind`: bool, int, float, str, choices of text, or one of these and None."""
-    choices = [choice for choice in get_args(kind) if isinstance(choice, str)]
+def _typed(name: str, kind: Any, told: Mapping[str, Any], value: Value) -> Value | None:
+    """`value` as a setting of the type `kind`: bool, int, float, str, choices of text, or one of these and None.
+
+    Args:
+        told: the metadata of `core.train.setting.setting`.
+    """
+    choices = [*told["choices"], *(choice for choice in get_args(kind) if isinstance(choice, str))]
     kinds = get_args(kind) if not choices and get_args(kind) else (kind,)
     if choices:
         wanted, fits = f"one of {', '.join(choices)}", value in choices
@@ -86,13 +90,14 @@ def _typed(name: str, kind: Any, value: Value) -> Value | None:
         wanted, fits = "text", isinstance(value, str)
     else:
         whole = int in kinds
-        wanted = f"a {'whole ' if whole else ''}number from 0 to {_MAX_NUMBER:.0f}"
+        least, most = told["least"], told["most"]
+        wanted = f"a {'whole ' if whole else ''}number from {least:g} to {most:.10g}"
         if type(None) in kinds:
             wanted += ", or none"
             if value == "none":
                 return None
         fits = isinstance(value, int if whole else int | float) and not isinstance(value, bool)
-        fits = fits and math.isfinite(value) and 0 <= value <= _MAX_NUMBER  # type: ignore[operator, arg-type]
+        fits = fits and math.isfinite(value) and least <= value <= most  # type: ignore[arg-type]
         if fits and not whole:
             value = float(value)
     if not fits:

@@ -7,8 +7,9 @@ from dataclasses import fields
 import pytest
 
 from streamlod.core.errors import InputError
-from streamlod.core.train import preset
+from streamlod.core.train import PredictConfig, preset
 from streamlod.core.train.later_frame.parts import AnchorGrowth, FlowSearch
+from streamlod.core.train.motion.cues import CUES
 from streamlod.core.train.presets.settings import PARTS, Value, setting_names, with_settings
 
 
@@ -24,6 +25,8 @@ def test_every_setting_is_reached_and_only_it_changes(name: str) -> None:
         new: Value = not old if isinstance(old, bool) else (old or 0) + 1 if not isinstance(old, str) else old
         if setting in {"model.selection", "predict.cue"}:
             new = {"all": "distance", "distance": "all"}.get(old, "canonical")
+        if setting == "predict.memory":
+            new = old / 2
         changed = with_settings(config, {setting: new})
         after = getattr(changed, group, None) or next(part for part in changed.parts if part.name == group)
         assert getattr(after, own) == new, setting
@@ -53,7 +56,15 @@ def test_parts_are_left_out_and_keep_their_settings() -> None:
         ({"model.exposure": 1}, "true or false"),
         ({"model.selection": "some"}, "one of all, distance"),
         ({"model.levels": "few"}, "or none"),
-        ({"predict.cue": 3}, "text"),
+        ({"predict.cue": "wild"}, "predict.cue: must be one of difference, canonical, everything, not 'wild'"),
+        ({"model.gaussians_per_anchor": 0}, "a whole number from 1 to 16, not 0"),
+        ({"model.features": 100_000}, "a whole number from 3 to 64"),
+        ({"model.cell_pixels": 0}, "a number from 1 to"),
+        ({"model.max_anchors": 0}, "a whole number from 16 to 1048576"),
+        ({"keyframe.growth_interval": 0}, "a whole number from 1 to"),
+        ({"predict.position_steps_per_cell": 0}, "a whole number from 1 to"),
+        ({"predict.partition_interval": 0}, "a whole number from 1 to"),
+        ({"predict.memory": 1}, "a number from 0 to 0.999, not 1"),
         ({"parts": "flow_serch"}, "did you mean flow_search"),
         ({"parts": "flow_search+flow_search"}, "twice"),
         ({"parts": "new_anchors", "flow_search.pixels": 2}, "unknown"),
@@ -62,6 +73,11 @@ def test_parts_are_left_out_and_keep_their_settings() -> None:
 def test_what_is_wrong_is_said_in_one_sentence(changes: dict[str, Value], sentence: str) -> None:
     with pytest.raises(InputError, match=sentence):
         with_settings(preset("live"), changes)
+
+
+def test_cues_that_can_be_given_are_those_that_there_are() -> None:
+    told = {field.name: field.metadata for field in fields(PredictConfig)}
+    assert set(told["cue"]["choices"]) == set(CUES)
 
 
 def test_a_setting_that_may_be_missing_takes_none() -> None:
