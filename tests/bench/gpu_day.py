@@ -1,8 +1,9 @@
-"""`python -m tests.bench.gpu_day`: all that a GPU has to show, in one program of less than eight minutes.
+"""`python -m tests.bench.gpu_day`: all that a GPU has to show, in one program.
 
 Run it first on the day that a GPU is there. Every part writes its figures to a JSON file as it ends, and is passed over
-when the program is run again with that file, unless it failed; `--device cpu --small` tries the program itself where
-there is none.
+when the program is run again with that file, unless it failed. What it measures itself comes first; the programs that
+it starts in the end (tests, sanitizer) are stopped after four minutes each. `--device cpu --small` tries the program
+itself where there is no GPU.
 
 Parts: the device; correctness (a step against the CPU's); steps launched and replayed, stage by stage, with memory;
 whole pictures drawn; the rasterisers; whole later frames by both engines; the tests that want a GPU; compute-sanitizer.
