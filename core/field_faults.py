@@ -1,11 +1,12 @@
 """Sentences for values that a pydantic model refuses, as `core.options` says it: what fits, and what was given.
 
-Errors are taken as the plain mappings that the library gives out, so that this module imports nothing.
+Errors are taken as the plain mappings that the library gives out, so that this module does not import it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 _TABLE = "a table of names and values"
@@ -39,6 +40,17 @@ def first_fault(errors: Sequence[Mapping[str, Any]], skip: int = 0) -> tuple[str
     """
     error = errors[0]
     return ".".join(map(str, error["loc"][skip:])), _fault(error)
+
+
+def matching(pattern: str, words: str) -> Callable[[Any], Any]:
+    """For a `BeforeValidator`: refuses texts that do not match, by what is `words`, before their pattern does."""
+
+    def check(value: Any) -> Any:
+        if isinstance(value, str) and not re.fullmatch(pattern, value):
+            raise ValueError(f"must be {words}, not {value!r:.80}")
+        return value
+
+    return check
 
 
 def _fault(error: Mapping[str, Any]) -> str:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
+from streamlod.core.field_faults import matching
 from streamlod.server.auth.links import MAX_LINK_SECONDS
 from streamlod.server.ingest.cameras.address import CAMERA_NAME
 
@@ -130,12 +130,7 @@ class Manifest(BaseModel):
 _LINK_PATH = rf"^(bitstream|sound|hls/index\.m3u8|(gops|packets)/[0-9]{{1,10}}/[0-9]{{1,10}}|ingest/{CAMERA_NAME})?$"
 
 
-def _checked_path(value: object) -> object:
-    """Refuse another path in words, before its pattern does."""
-    if isinstance(value, str) and not re.fullmatch(_LINK_PATH, value):
-        wanted = "bitstream, sound, hls/index.m3u8, gops/EPOCH/VERSION, packets/EPOCH/VERSION or ingest/CAMERA"
-        raise ValueError(f"must be {wanted}, or be left out, not {value!r:.80}")
-    return value
+_LINK_WORDS = "bitstream, sound, hls/index.m3u8, gops/EPOCH/VERSION, packets/EPOCH/VERSION or ingest/CAMERA, or nothing"
 
 
 class NewLink(BaseModel):
@@ -145,7 +140,7 @@ class NewLink(BaseModel):
         extra="forbid", strict=True, json_schema_extra={"examples": [{"path": "bitstream", "seconds": 3600}]}
     )
 
-    path: Annotated[str, BeforeValidator(_checked_path)] = Field(
+    path: Annotated[str, BeforeValidator(matching(_LINK_PATH, _LINK_WORDS))] = Field(
         default="",
         pattern=_LINK_PATH,
         description="download below the stream, all of them without; or `ingest/CAMERA` (right `publish`)",

@@ -13,6 +13,7 @@ LISTEN_SECONDS = 5.0  # then the port is opened again, so that a reader can be s
 OPEN_SECONDS = 10.0
 SILENCE_SECONDS = 8.0  # a connection without data for so long counts as dead
 CAMERA_NAME = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}"  # pattern of the name of a rig's camera
+CAMERA_NAME_WORDS = "1 to 64 letters, digits, _, . or -, the first a letter or digit"
 _MAX_LENGTH = 2048
 _LIVE = {"fflags": "nobuffer", "probesize": "200000", "analyzeduration": "500000"}
 _DEVICES = {  # what FFmpeg opens by a name of this machine; ALSA's may name files otherwise

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictBool, ValidationError
 
 from streamlod.core.camera import Camera
 from streamlod.core.camera.space import UNCHANGED, Similarity, training_space
@@ -30,10 +30,10 @@ from streamlod.core.data.files import read_bytes
 from streamlod.core.data.pictures import MAX_SIDE
 from streamlod.core.data.sources import Videos
 from streamlod.core.errors import InputError
-from streamlod.core.field_faults import first_fault
+from streamlod.core.field_faults import first_fault, matching
 from streamlod.core.frames import PointCloud
 from streamlod.core.options import MAX_CAMERAS
-from streamlod.server.ingest.cameras.address import CAMERA_NAME, Address, parse_address
+from streamlod.server.ingest.cameras.address import CAMERA_NAME, CAMERA_NAME_WORDS, Address, parse_address
 from streamlod.server.ingest.cameras.sound_source import SoundSource, choose_sound
 
 _LOG = logging.getLogger(__name__)
@@ -48,7 +48,7 @@ class _Strict(BaseModel):
 
 
 class _CameraEntry(_Strict):
-    name: str = Field(pattern=f"^{CAMERA_NAME}$")
+    name: Annotated[str, BeforeValidator(matching(CAMERA_NAME, CAMERA_NAME_WORDS))] = Field(pattern=f"^{CAMERA_NAME}$")
     source: str
     width: int | None = Field(default=None, ge=1, le=MAX_SIDE)
     height: int | None = Field(default=None, ge=1, le=MAX_SIDE)
@@ -61,10 +61,18 @@ class _Quorum(_Strict):
     quorum: int = Field(ge=1)
 
 
+def _checked_policy(value: object) -> object:
+    """Refuse what is neither of the two in one sentence."""
+    quorum = value["quorum"] if isinstance(value, dict) and set(value) == {"quorum"} else None
+    if value != "require_all" and not (type(quorum) is int and quorum >= 1):
+        raise ValueError(f'must be "require_all" or {{"quorum": N}} with N of at least 1, not {value!r:.80}')
+    return value
+
+
 class _File(_Strict):
     fps: float = Field(gt=0, le=1000)
-    policy: Literal["require_all"] | _Quorum = "require_all"
-    realtime: bool = True
+    policy: Annotated[Literal["require_all"] | _Quorum, BeforeValidator(_checked_policy)] = "require_all"
+    realtime: StrictBool = True
     calibration: Path | None = None
     depth_bounds: tuple[float, float] | None = None
     sound: str | None = Field(default=None, min_length=1, max_length=2048)
