@@ -108,7 +108,7 @@ def test_a_full_disk_stops_recording_and_nothing_else(clip: Clip, tmp_path: Path
         pytest.skip("small disks cannot be mounted here")
     size = sum(map(len, clip.packets))
     options = recorded(tmp_path, clip, "[retention]\nreserve_fraction = 0.0")
-    script = f'mount -t tmpfs -o size={size + 150_000} none {tmp_path} && exec "$@"'  # room for one round of the clip
+    script = f'mount -t tmpfs -o size={size // 2} none {tmp_path} && exec "$@"'  # room for half of the clip
     serve = [*PROGRAM, "serve", "--port", "0", *options]
     with started([*mount, "sh", "-c", script, "sh", *serve]) as (process, port, _):
         wait_live(port)
