@@ -27,7 +27,7 @@ class CoarseSweep:
     rows: int = 90
     planes: int = 64
     trust: Trust = field(default_factory=lambda: Trust(tolerance=0.04, cost_by_one=0.6))
-    completion: Completion = field(default_factory=Completion)
+    completion: Completion = field(default_factory=lambda: Completion(shared=True))
 
     def find(self, sources: PointSources) -> PointCloud:
         """Points on whatever the pictures show, possibly none.

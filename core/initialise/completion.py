@@ -1,10 +1,13 @@
 """First points where no depth could be told: on the smoothest surface between those whose depth is known.
 
-Cameras far apart share little. Much of a picture is then seen by one camera alone, or has no texture, and no match
-says how deep it is. Without first points there, a scene shows mush even to a viewer who stands where that camera stood,
-though any surface at all would show what the camera filmed. Inverse depths are spread from known pixels into the gaps
-as heat spreads in a plate, slower across edges of the picture (a Dirichlet problem; weights after Levin et al. 2004).
-Between known pixels of a plane lies that plane, and no depth leaves the range of the known ones.
+Cameras far apart share little. Much of a picture is then seen by one camera alone, and no match says how deep it is.
+Without first points there, a scene shows mush even to a viewer who stands where that camera stood, though any surface
+at all would show what the camera filmed. Inverse depths are spread from known pixels into the gaps as heat spreads in a
+plate, slower across edges of the picture (a Dirichlet problem; weights after Levin et al. 2004). Between known pixels
+of a plane lies that plane, and no depth leaves the range of the known ones.
+
+What several cameras have in their pictures is left to their agreement in training: a point at a wrong depth would serve
+one of them, hide the scene from the others and from every viewer between, and each would get a screen of its own.
 """
 
 from __future__ import annotations
@@ -18,13 +21,15 @@ from scipy.sparse.linalg import spsolve
 
 from streamlod.core.arrays import Bool, Float32, Float64
 from streamlod.core.camera import Camera
+from streamlod.core.camera.beside import views_beside
 from streamlod.core.frames import PointCloud
 from streamlod.core.initialise.views import WorkingViews, inside, pixel_centres, project, unproject
 
 _EDGE = 0.08  # difference of colours, in [0, 1], across which depths spread e times slower
 _LEAST = 0.02  # of the weight within one colour, that depths spread with across any edge
 _SURE = 1e3  # weight of a known depth, in neighbours of the same colour
-_BEFORE = 0.05  # relative depth by which a point before another camera's known surface hides it
+_SHARES = (0.25, 0.5)  # of the way from each camera to its nearest neighbour: views from which nothing is hidden
+_BEFORE = 0.05  # relative depth by which a point before a view's known surface hides it
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,27 +39,35 @@ class Completion:
     Attributes:
         rows: of the grid of cells in which depths are spread; each cell of a gap gets a point, and a cell with a known
             point, or beside one, is no gap.
+        shared: whether gaps that several cameras have in their pictures are filled too, as where nothing is trained.
     """
 
     rows: int = 45
+    shared: bool = False
 
     def completed(self, points: PointCloud, views: WorkingViews) -> PointCloud:
         """`points`, and further ones in the gaps that they leave in each view, coloured by it.
 
-        Views are completed one after the other: what one adds is known to the next. A point that would hide what
-        `points` show another view is left out.
+        Views are completed one after the other: no cell is filled twice. A point that would hide what `points` show
+        another view, or a view on the way to the nearest one, is left out.
         """
         grid = views.resized(self.rows)
-        known = [nearest_depths(points.positions, camera) for camera in grid.cameras]
+        between = [view for share in _SHARES for view in views_beside(grid.cameras, share)]
+        known = [(view, nearest_depths(points.positions, view)) for view in (*grid.cameras, *between)]
         found = points
         for number, camera in enumerate(grid.cameras):
-            depths = nearest_depths(found.positions, camera)
+            depths, filled = known[number][1], nearest_depths(found.positions, camera)
+            if not np.isfinite(depths).any():
+                depths = filled
             if not np.isfinite(depths).any():
                 continue  # nothing says how deep this view is
-            inverse = spread(depths, grid.images[number])
-            new = in_gaps(inverse, depths, camera, grid.images[number])
-            others = [pair for other, pair in enumerate(zip(grid.cameras, known, strict=True)) if other != number]
-            kept = ~np.any([hides(new.positions, *other) for other in others], axis=0) if others else np.s_[:]
+            new = in_gaps(spread(depths, grid.images[number]), filled, camera, grid.images[number])
+            others = known[:number] + known[number + 1 :]
+            wrong = [hides(new.positions, *other) for other in others]
+            if not self.shared:
+                cameras = grid.cameras[:number] + grid.cameras[number + 1 :]
+                wrong += [inside(other, *project(other, new.positions.astype(np.float64))) for other in cameras]
+            kept = ~np.any(wrong, axis=0)
             found = PointCloud(
                 np.concatenate([found.positions, new.positions[kept]]),
                 np.concatenate([found.colours, new.colours[kept]]),
