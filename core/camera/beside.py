@@ -1,9 +1,10 @@
-"""Views beside cameras: on the way from each to its nearest neighbour."""
+"""Views beside cameras and between them: on the way from each to its nearest neighbour, or to all of its neighbours."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -23,6 +24,27 @@ def views_beside(cameras: Sequence[Camera], share: float) -> list[Camera]:
             views.append(between(camera, cameras[nearest], share))
         pairs.add(pair)
     return views
+
+
+def views_between(cameras: Sequence[Camera], shares: Sequence[float]) -> list[Camera]:
+    """Views at `shares` of the way, up to a half, from each camera to each of its neighbours; middles only once."""
+    pairs = [(cameras[one], cameras[other]) for one, other in neighbours(cameras)]
+    ways = [[*pairs, *(pair[::-1] for pair in pairs)] if share != 0.5 else pairs for share in shares]
+    return [between(*pair, share) for share, both in zip(shares, ways, strict=True) for pair in both]
+
+
+def neighbours(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
+    """Pairs of cameras to both of which no third one is nearer than they are to each other.
+
+    They connect all cameras (relative neighbourhood graph, Toussaint 1980); nearest neighbours alone may fall apart
+    into groups, between which nothing would look.
+    """
+    centres = np.stack([camera.centre for camera in cameras])
+    apart = np.linalg.norm(centres[:, None] - centres, axis=2)
+    pairs = combinations(range(len(cameras)), 2)
+    return [
+        (one, other) for one, other in pairs if not (np.maximum(apart[one], apart[other]) < apart[one, other]).any()
+    ]
 
 
 def between(camera: Camera, other: Camera, share: float) -> Camera:

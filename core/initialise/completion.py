@@ -21,14 +21,14 @@ from scipy.sparse.linalg import spsolve
 
 from streamlod.core.arrays import Bool, Float32, Float64
 from streamlod.core.camera import Camera
-from streamlod.core.camera.beside import views_beside
+from streamlod.core.camera.beside import views_between
 from streamlod.core.frames import PointCloud
 from streamlod.core.initialise.views import WorkingViews, inside, pixel_centres, project, unproject
 
 _EDGE = 0.08  # difference of colours, in [0, 1], across which depths spread e times slower
 _LEAST = 0.02  # of the weight within one colour, that depths spread with across any edge
 _SURE = 1e3  # weight of a known depth, in neighbours of the same colour
-_SHARES = (0.25, 0.5)  # of the way from each camera to its nearest neighbour: views from which nothing is hidden
+_SHARES = (0.25, 0.5)  # of the way from each camera to its neighbours: views from which nothing is hidden
 _BEFORE = 0.05  # relative depth by which a point before a view's known surface hides it
 
 
@@ -49,10 +49,10 @@ class Completion:
         """`points`, and further ones in the gaps that they leave in each view, coloured by it.
 
         Views are completed one after the other: no cell is filled twice. A point that would hide what `points` show
-        another view, or a view on the way to the nearest one, is left out.
+        another view, or a view on the way to a neighbour, is left out.
         """
         grid = views.resized(self.rows)
-        between = [view for share in _SHARES for view in views_beside(grid.cameras, share)]
+        between = views_between(grid.cameras, _SHARES)
         known = [(view, nearest_depths(points.positions, view)) for view in (*grid.cameras, *between)]
         found = points
         for number, camera in enumerate(grid.cameras):

@@ -18,14 +18,14 @@ from torch import Tensor
 
 from streamlod.core.arrays import Float64
 from streamlod.core.camera import Camera
-from streamlod.core.camera.beside import views_beside
+from streamlod.core.camera.beside import views_between
 from streamlod.core.frames import PointCloud
 from streamlod.core.initialise.views import inside, project
 from streamlod.core.render.reference import MAX_ASIDE, NEAR
 from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.field import Field
 
-_SHARES = (0.25, 0.5)  # of the way from each camera to its nearest neighbour
+_SHARES = (0.25, 0.5)  # of the way from each camera to its neighbours
 # Quantiles of the depths of first points: single ones may be wrong, and of those that one camera alone sees many are
 # too near.
 _NEAREST, _NEAREST_BETWEEN = 0.01, 0.02
@@ -83,9 +83,9 @@ class NearSpace:
 
 
 def near_space(points: PointCloud, cameras: tuple[Camera, ...]) -> NearSpace:
-    """The empty space before `cameras`, and before views between each and its neighbour, as first points tell it."""
+    """The empty space before `cameras`, and before views between neighbours, as first points tell it."""
     positions = points.positions.astype(np.float64)
-    between = tuple(view for share in _SHARES for view in views_beside(cameras, share))
+    between = tuple(views_between(cameras, _SHARES))
     nearest = tuple(scene_begins(positions, camera, _NEAREST) for camera in cameras)
     return NearSpace(cameras, nearest, between, tuple(scene_begins(positions, v, _NEAREST_BETWEEN) for v in between))
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.sparse.csgraph import connected_components
 
-from streamlod.core.camera.beside import between, views_beside
+from streamlod.core.camera import Camera, look_at, pinhole
+from streamlod.core.camera.beside import between, neighbours, views_beside, views_between
 from streamlod.core.synthetic import SyntheticSpec, cameras
 
 SPEC = SyntheticSpec(cameras=4, frames=2, width=64, height=36, noise=0.0)
@@ -28,3 +30,28 @@ def test_views_lie_towards_the_nearest_camera_and_a_middle_comes_once() -> None:
         assert np.linalg.norm(view.centre - camera.centre) == pytest.approx(0.1 * closest)
     middles = [tuple(view.centre.round(6)) for view in views_beside(rig, 0.5)]
     assert len(middles) == len(set(middles)) < 4
+
+
+def cameras_at(*centres: tuple[float, ...]) -> list[Camera]:
+    ahead, up = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    poses = [look_at(np.array(centre), np.array(centre) + ahead, up) for centre in centres]
+    return [pinhole(f"{number}", (40, 40), (32, 18), (64, 36), pose) for number, pose in enumerate(poses)]
+
+
+def test_two_pairs_of_cameras_far_apart_are_neighbours_too() -> None:
+    row = cameras_at((0, 0, 0), (1, 0, 0), (10, 0, 0), (11, 0, 0))
+    assert neighbours(row) == [(0, 1), (1, 2), (2, 3)]
+    centres = {round(float(view.centre[0]), 6) for view in views_between(row, (0.25, 0.5))}
+    assert centres == {0.25, 0.5, 0.75, 3.25, 5.5, 7.75, 10.25, 10.5, 10.75}
+    assert neighbours(row[:1]) == views_between(row[:1], (0.5,)) == []
+
+
+def test_neighbours_connect_all_cameras_wherever_they_stand() -> None:
+    random = np.random.default_rng(0)
+    for count in (2, 3, 5, 20):
+        centres = random.normal(size=(count, 3))
+        centres[-1] = centres[0]  # two at one place
+        pairs = neighbours(cameras_at(*map(tuple, centres)))
+        graph = np.zeros((count, count))
+        graph[tuple(np.transpose(pairs))] = 1
+        assert connected_components(graph)[0] == 1

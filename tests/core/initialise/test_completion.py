@@ -7,7 +7,7 @@ from scipy.ndimage import maximum_filter
 
 from streamlod.core.arrays import Float32
 from streamlod.core.camera import Camera, look_at, pinhole
-from streamlod.core.camera.beside import views_beside
+from streamlod.core.camera.beside import views_between
 from streamlod.core.frames import PointCloud
 from streamlod.core.initialise.completion import Completion, hides, nearest_depths, spread
 from streamlod.core.initialise.views import WorkingViews, inside, pixel_centres, project, unproject
@@ -93,7 +93,7 @@ def test_no_point_hides_what_is_known_to_be_seen_between_two_cameras() -> None:
     points, filling = PointCloud(known, np.ones_like(known)), Completion(rows=HEIGHT, shared=True)
     new = filling.completed(points, views_of(*cameras)).positions
     assert len(new) > len(known)  # across the hole, where nobody knows of the wall
-    for view in (*views_beside(cameras, 0.25), *views_beside(cameras, 0.5)):
+    for view in views_between(cameras, (0.25, 0.5)):
         assert not hides(new[len(known) :], view, nearest_depths(known, view)).any()
 
 
