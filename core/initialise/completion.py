@@ -62,12 +62,11 @@ class Completion:
             if not np.isfinite(depths).any():
                 continue  # nothing says how deep this view is
             new = in_gaps(spread(depths, grid.images[number]), filled, camera, grid.images[number])
-            others = known[:number] + known[number + 1 :]
-            wrong = [hides(new.positions, *other) for other in others]
-            if not self.shared:
-                cameras = grid.cameras[:number] + grid.cameras[number + 1 :]
-                wrong += [inside(other, *project(other, new.positions.astype(np.float64))) for other in cameras]
-            kept = ~np.any(wrong, axis=0)
+            kept = np.ones(len(new.positions), np.bool_)
+            for other, depths_there in known[:number] + known[number + 1 :]:
+                kept &= ~hides(new.positions, other, depths_there)
+            for other in () if self.shared else grid.cameras[:number] + grid.cameras[number + 1 :]:
+                kept &= ~inside(other, *project(other, new.positions.astype(np.float64)))
             found = PointCloud(
                 np.concatenate([found.positions, new.positions[kept]]),
                 np.concatenate([found.colours, new.colours[kept]]),

@@ -107,6 +107,13 @@ def test_gaps_that_two_cameras_have_in_their_pictures_are_left_to_them() -> None
     assert in_pictures.any(axis=1).all()  # each has some that it alone sees
 
 
+def test_a_camera_alone_gets_points_in_all_its_gaps() -> None:
+    camera = camera_at(0)
+    known = unproject(camera, np.array([[10.5, 10.5]]), np.array([3.0])).astype(np.float32)
+    found = Completion(rows=HEIGHT).completed(PointCloud(known, np.ones((1, 3), np.float32)), views_of(camera))
+    assert found.positions.shape == found.colours.shape == (1 + WIDTH * HEIGHT - 9, 3)
+
+
 def test_a_view_of_nothing_known_stays_empty() -> None:
     behind = PointCloud(np.array([[0.0, -9.0, 0.0]], np.float32), np.ones((1, 3), np.float32))
     assert len(Completion().completed(behind, views_of(camera_at(0)))) == 1
