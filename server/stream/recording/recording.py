@@ -179,21 +179,13 @@ class Recording:
         if not self._disk.has_room:
             raise OSError("the disk is full except for its reserve")
         path = self._folder / f"{packet.position.epoch:06d}-{packet.position.version:010d}.slod"
-        now = time.time_ns(), time.monotonic()
-        # it may be the first that is written of this stream, or the first that the disk takes
-        self.note(begun=self._begun(path.stem, packet.position.epoch, now[0]))
+        self.note()  # it may be the first that is written of this stream, or the first that the disk takes
         if path.exists():
             raise OSError(f"{path.name} exists already")
         os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE_FILE))
         self._writer = SlodWriter(path, live=True)
+        now = time.time_ns(), time.monotonic()
         self.segments.append(Segment(path, packet.position, packet.position, 0, 0, *now, False))
-
-    def _begun(self, name: str, epoch: int, now_ns: int) -> dict[str, int]:
-        """`StoredStream.begun` with a group that begins now."""
-        kept = {segment.path.stem for segment in self.segments}
-        begun = {each: begun_ns for each, begun_ns in self.stored.begun.items() if each in kept}
-        is_first = not self.segments or self.segments[-1].first.epoch != epoch
-        return begun | {name: now_ns} if is_first else begun
 
     def finish(self) -> None:
         """Close the open segment. On the recording thread."""
@@ -265,4 +257,4 @@ class Recording:
                 segments += filter(None, [restored(path)])
             elif not _OWN_NAMES.fullmatch(path.name):
                 _LOG.warning("stream %s: %s is none of its recordings and is left alone", self._stream, path)
-        return dated(segments, self.stored.begun)
+        return dated(segments)

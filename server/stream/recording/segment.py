@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -92,18 +92,15 @@ def restored(path: Path) -> Segment | None:
     return Segment(path, first, last, len(entries), size, begun_ns, _monotonic(begun_ns), True)
 
 
-def dated(segments: Sequence[Segment], begun: Mapping[str, int]) -> list[Segment]:
-    """Segments on disk, oldest first, with the times of their keyframes.
+def dated(segments: Sequence[Segment]) -> list[Segment]:
+    """Segments on disk, oldest first: one that follows another one of its run began when that ended.
 
-    Of the first one of a run `begun` tells it, by the name of its file; a later one began when the one before ended.
-    How long packets were filmed tells less: training them may take longer.
+    How long packets were filmed tells less, as training them may take longer; of the first one nothing else is known.
     """
     found: list[Segment] = []
     for before, segment in zip((None, *segments), segments, strict=False):
-        begun_ns = begun.get(segment.path.stem)
-        if begun_ns is None and before is not None and segment.follows(before):
-            begun_ns = before.path.stat().st_mtime_ns
-        found.append(segment if begun_ns is None else segment.begun_at(begun_ns))
+        follows = before is not None and segment.follows(before)
+        found.append(segment.begun_at(before.path.stat().st_mtime_ns) if before is not None and follows else segment)
     return found
 
 

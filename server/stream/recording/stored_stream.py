@@ -35,7 +35,6 @@ class StoredStream:
         created_ns: Unix time of its creation.
         trained_from: tells what the highest epoch is trained from; empty where nothing of it is left to train.
         lead: version of that epoch which the source's first frame had or would have had; later frames follow it.
-        begun: Unix time [ns] of the first keyframe of each recorded encoder run, by the name of its group.
         others: fields of another version of the program, which are kept for it.
     """
 
@@ -46,7 +45,6 @@ class StoredStream:
     created_ns: int = 0
     trained_from: str = ""
     lead: int = 0
-    begun: dict[str, int] = field(default_factory=dict)
     others: dict[str, Any] = field(default_factory=dict)
 
 
@@ -68,9 +66,8 @@ def read_stored(folder: Path) -> StoredStream | None:
             _LOG.info("%s has fields of another version, which are kept: %s", path, ", ".join(sorted(others)))
         stored = StoredStream(**known, others=others)
         kinds = {"incarnation": str, "epoch": int, "definition": dict | None, "running": bool, "created_ns": int,
-                 "trained_from": str, "lead": int, "begun": dict}  # fmt: skip
-        fit = all(isinstance(getattr(stored, name), kind) for name, kind in kinds.items())
-        if not (fit and all(type(time_ns) is int for time_ns in stored.begun.values())):
+                 "trained_from": str, "lead": int}  # fmt: skip
+        if not all(isinstance(getattr(stored, name), kind) for name, kind in kinds.items()):
             raise ValueError("a value is of the wrong type")
     except FileNotFoundError:
         return None
