@@ -16,6 +16,7 @@ from nats.aio.msg import Msg
 from nats.errors import Error
 from nats.errors import TimeoutError as NoAnswerError
 from nats.js.api import AckPolicy, ConsumerConfig, ConsumerInfo, DeliverPolicy
+from nats.js.errors import ServiceUnavailableError
 
 from streamlod.server.edge.ending import stop_if_cancelled
 from streamlod.server.edge.jetstream.connection import NatsConnection
@@ -25,7 +26,9 @@ _REQUEST = {"max_bytes": 8 << 20, "expires": 5 * 10**9, "idle_heartbeat": 5 * 10
 _SILENT_SECONDS = 1.25  # two heartbeats and a half
 _INACTIVE_SECONDS = 10.0  # after which NATS forgets a consumer
 _RETRY_SECONDS = 0.25
-_MAX_ASKED = 6  # for a reader, 2 s each: NATS never answers what it is asked in an election, which takes 4 to 9 s
+_MAX_ASKED = 6  # for a reader: NATS never answers what it is asked in an election, which takes 4 to 9 s, or refuses it
+_ASKED_SECONDS = 2.0  # for each
+_NO_LEADER = 10008  # code of such a refusal
 _GOES_ON = {"404", "408"}  # nothing there yet; the request has expired
 _NO_RESPONDERS = "503"  # servers of a cluster learn of a new consumer one after another; or it is lost
 _UNHEARD_SECONDS, _MAX_UNHEARD = 0.05, 20  # between requests that nobody answers, and how many in a row
@@ -153,14 +156,17 @@ async def _consume(
 
 
 async def _new_consumer(connection: NatsConnection, stream: str, config: ConsumerConfig, tries: int) -> ConsumerInfo:
-    """A consumer, asked for at most `tries` times, as long as NATS is connected and does not answer.
+    """A consumer, asked for at most `tries` times, as long as NATS is connected and has no leader.
 
     NATS may have made one and lost its answer; it forgets that one, as nobody reads from it.
     """
     while True:
         try:
             return await connection.jetstream.add_consumer(stream, config)
-        except NoAnswerError:
+        except (NoAnswerError, ServiceUnavailableError) as error:
             tries -= 1
-            if not tries or not connection.client.is_connected:
+            is_electing = isinstance(error, NoAnswerError) or error.err_code == _NO_LEADER
+            if not tries or not is_electing or not connection.client.is_connected:
                 raise
+            if not isinstance(error, NoAnswerError):  # which has taken as long itself
+                await asyncio.sleep(_ASKED_SECONDS)
