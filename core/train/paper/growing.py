@@ -12,6 +12,8 @@ from streamlod.core.train.later_frame.training import FrameTraining, Hooks
 
 
 class Growing(Hooks):
+    """Adds at most `most` anchors once, where gradients are beyond `threshold` when the share `at` of steps is done."""
+
     def __init__(self, at: float, threshold: float, most: int, seen: Beginning) -> None:
         self._at, self._threshold, self._most, self._seen = at, threshold, most, seen
         self._drawn, self._is_due = set[int](), True

@@ -15,7 +15,7 @@ from streamlod.server.settings import JetStreamSettings
 _LOG = logging.getLogger(__name__)
 _RECONNECT_SECONDS = 0.25
 _CONNECT_SECONDS = 2
-_REQUEST_SECONDS = 2.0
+REQUEST_SECONDS = 2.0
 _PING_SECONDS = 5  # a dead machine answers no ping
 _CLOSE_SECONDS = 1.0
 _MAX_SAID = 100  # faults that the log has of one connection
@@ -43,7 +43,7 @@ class NatsConnection:
     @property
     def jetstream(self) -> JetStreamContext:
         """Its interface to JetStream; requests fail while there is no connection."""
-        return self.client.jetstream(timeout=_REQUEST_SECONDS)
+        return self.client.jetstream(timeout=REQUEST_SECONDS)
 
     async def open(self) -> None:
         """Connect, however long it takes; from then on a lost connection is made again by itself."""

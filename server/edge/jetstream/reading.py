@@ -19,7 +19,7 @@ from nats.js.api import AckPolicy, ConsumerConfig, ConsumerInfo, DeliverPolicy
 from nats.js.errors import ServiceUnavailableError
 
 from streamlod.server.edge.ending import stop_if_cancelled
-from streamlod.server.edge.jetstream.connection import NatsConnection
+from streamlod.server.edge.jetstream.connection import REQUEST_SECONDS, NatsConnection
 
 _BATCH = 512  # messages asked for at once
 _REQUEST = {"max_bytes": 8 << 20, "expires": 5 * 10**9, "idle_heartbeat": 5 * 10**8}
@@ -27,7 +27,6 @@ _SILENT_SECONDS = 1.25  # two heartbeats and a half
 _INACTIVE_SECONDS = 10.0  # after which NATS forgets a consumer
 _RETRY_SECONDS = 0.25
 _MAX_ASKED = 6  # for a reader: NATS never answers what it is asked in an election, which takes 4 to 9 s, or refuses it
-_ASKED_SECONDS = 2.0  # for each
 _NO_LEADER = 10008  # code of such a refusal
 _GOES_ON = {"404", "408"}  # nothing there yet; the request has expired
 _NO_RESPONDERS = "503"  # servers of a cluster learn of a new consumer one after another; or it is lost
@@ -169,4 +168,4 @@ async def _new_consumer(connection: NatsConnection, stream: str, config: Consume
             if not tries or not is_electing or not connection.client.is_connected:
                 raise
             if not isinstance(error, NoAnswerError):  # which has taken as long itself
-                await asyncio.sleep(_ASKED_SECONDS)
+                await asyncio.sleep(REQUEST_SECONDS)

@@ -178,8 +178,8 @@ class Recording:
     def _begin(self, packet: StreamPacket) -> None:
         if not self._disk.has_room:
             raise OSError("the disk is full except for its reserve")
-        path = self._folder / f"{packet.position.epoch:06d}-{packet.position.version:010d}.slod"
         self.note()  # it may be the first that is written of this stream, or the first that the disk takes
+        path = self._folder / f"{packet.position.epoch:06d}-{packet.position.version:010d}.slod"
         if path.exists():
             raise OSError(f"{path.name} exists already")
         os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE_FILE))

@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 from streamlod.codec.container import SlodReader, SlodWriter
@@ -97,10 +98,9 @@ def dated(segments: Sequence[Segment]) -> list[Segment]:
 
     How long packets were filmed tells less, as training them may take longer; of the first one nothing else is known.
     """
-    found: list[Segment] = []
-    for before, segment in zip((None, *segments), segments, strict=False):
-        follows = before is not None and segment.follows(before)
-        found.append(segment.begun_at(before.path.stat().st_mtime_ns) if before is not None and follows else segment)
+    found = list(segments[:1])
+    for before, segment in pairwise(segments):
+        found.append(segment.begun_at(before.path.stat().st_mtime_ns) if segment.follows(before) else segment)
     return found
 
 

@@ -26,6 +26,8 @@ def allowed(seen: Beginning, share: float, room: float) -> int:
 
 
 class Adding(Hooks):
+    """Adds anchors once, when all cameras have been drawn and the share `at` of the steps is done; `most` of them."""
+
     def __init__(self, at: float, most: int, seen: Beginning) -> None:
         self._at, self._most, self._seen = at, most, seen
         self._drawn: dict[int, Tensor] = {}

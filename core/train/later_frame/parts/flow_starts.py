@@ -26,6 +26,8 @@ _MAX_STEPS = 400.0  # no motion is longer: one wild flow must not throw an ancho
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Searching(Hooks):
+    """Lets each anchor begin at rest or at its `guess` [n,3] in steps, whichever shows more of what was filmed."""
+
     guess: Tensor
 
     def ready(self, training: FrameTraining) -> None:
