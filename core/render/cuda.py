@@ -17,7 +17,6 @@ from streamlod.core.errors import BackendUnavailable
 from streamlod.core.render.backends import cuda_fault
 from streamlod.core.render.drawable import device_camera, drawable
 from streamlod.core.render.raster import Probe, Raster
-from streamlod.core.render.tiles import TILE_HEIGHT, TILE_WIDTH
 
 # The image model, as in `core.render.cpu.kernels.inline.constants`; alpha's limits are built into gsplat.
 _RULES = {"near_plane": 0.01, "far_plane": 1e10, "eps2d": 0.1, "rasterize_mode": "classic", "packed": True}
@@ -32,8 +31,6 @@ def rasterise_cuda(
     camera: Camera,
     background: Tensor,
     gradient_rows: int | None,
-    tile_mask: Tensor | None,
-    base: Tensor | None,
 ) -> Raster:
     """`core.render.differentiable.rasterise` with gsplat; arguments as there, tensors on a CUDA device.
 
@@ -44,7 +41,7 @@ def rasterise_cuda(
     moving = count if gradient_rows is None else gradient_rows
     parameters = [means, quaternions, scales, opacities, colours]
     if count == 0:  # gsplat's kernels want at least one Gaussian
-        return _empty(means, camera, background, tile_mask, base)
+        return _empty(means, camera, background)
     on_device = _device_camera(camera, means.device)
     parameters = drawable(parameters, on_device, moving)
     images, alphas, meta = rasterization(
@@ -64,8 +61,6 @@ def rasterise_cuda(
     if (projected := meta["means2d"]).requires_grad:
         # without `projected` in it: that reference cycle would keep the picture's memory until Python collects garbage
         projected.register_hook(partial(probe.record, scale=on_device.half))
-    if tile_mask is not None:
-        image, light = _over(image, light, tile_mask, base)
     return Raster(image, light, probe)
 
 
@@ -88,19 +83,9 @@ class _Behind(torch.autograd.Function):
         return by_image, by_coverage, None
 
 
-def _over(image: Tensor, light: Tensor, tile_mask: Tensor, base: Tensor | None) -> tuple[Tensor, Tensor]:
-    """The picture inside the mask, `base` outside; gradients stop at the mask's edge."""
-    pixels = tile_mask.repeat_interleave(TILE_HEIGHT, 0).repeat_interleave(TILE_WIDTH, 1)
-    pixels = pixels[: image.shape[0], : image.shape[1]]
-    under = torch.zeros_like(image) if base is None else base
-    return torch.where(pixels[..., None], image, under), torch.where(pixels, light, torch.ones_like(light))
-
-
-def _empty(means: Tensor, camera: Camera, background: Tensor, tile_mask: Tensor | None, base: Tensor | None) -> Raster:
+def _empty(means: Tensor, camera: Camera, background: Tensor) -> Raster:
     image = background.expand(camera.height, camera.width, 3).contiguous()
     light = torch.ones(camera.height, camera.width, device=means.device)
-    if tile_mask is not None:
-        image, light = _over(image, light, tile_mask, base)
     return Raster(image, light, Probe(torch.zeros(0, dtype=torch.int64, device=means.device)))
 
 

@@ -22,7 +22,6 @@ def rasterise(
     *,
     gradient_rows: int | None = None,
     tile_mask: Tensor | None = None,  # [tiles_y,tiles_x]
-    base: Tensor | None = None,  # [H,W,3]
     backend: Backend = "cpu",
 ) -> Raster:
     """Splat Gaussians (Kerbl et al. 2023, equation 3) as `camera` sees them.
@@ -33,8 +32,8 @@ def rasterise(
         means, quaternions (w x y z, any length), scales, opacities, colours: float32 on one device, all activated.
         background: [3] float32 RGB.
         gradient_rows: only the first rows get gradients, the others stand still; all by default.
-        tile_mask: bool, tiles of `core.render.tiles` to render; all by default.
-        base: pixels of the tiles outside the mask, no gradients; black by default. Their transmittance reads 1.
+        tile_mask: bool, tiles of `core.render.tiles` that the loss looks at; all by default. The CPU does not draw the
+            others, which stay black.
         backend: as `core.render.select` says.
 
     Raises:
@@ -54,12 +53,12 @@ def rasterise(
         raise InputError(f"camera {camera.name}", "has lens distortion; undistort its pictures and use undistorted()")
     if gradient_rows is not None:
         gradient_rows = min(max(gradient_rows, 0), count)
-    arguments = (means, quaternions, scales, opacities, colours, camera, background, gradient_rows, tile_mask, base)
+    arguments = (means, quaternions, scales, opacities, colours, camera, background, gradient_rows)
     # Imported when used: numba takes 0.3 s, gsplat and Warp may compile for minutes.
     if backend == "cpu":
         from streamlod.core.render.cpu.autograd import rasterise_cpu
 
-        return rasterise_cpu(*arguments)
+        return rasterise_cpu(*arguments, tile_mask)
     if backend == "cuda":
         from streamlod.core.render.cuda import rasterise_cuda
 

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from streamlod.core.camera import Camera
 from streamlod.core.render.raster import Probe, Raster
-from streamlod.core.render.tiles import TILE_HEIGHT, TILE_WIDTH
 
 ALPHA_MIN, ALPHA_MAX = 1 / 255, 0.999
 OPACITY_MAX = 2.0
@@ -33,8 +32,6 @@ def rasterise_reference(
     camera: Camera,
     background: Tensor,
     gradient_rows: int | None,
-    tile_mask: Tensor | None,
-    base: Tensor | None,
 ) -> Raster:
     """`core.render.differentiable.rasterise` by brute force; arguments as there, float64 allowed and kept."""
     moving = len(means) if gradient_rows is None else gradient_rows
@@ -57,11 +54,6 @@ def rasterise_reference(
     image, light = blend(
         mean[order], covariance[order], o[order], c[order], background.double(), camera.width, camera.height
     )
-    if tile_mask is not None:
-        pixels = tile_mask.repeat_interleave(TILE_HEIGHT, 0).repeat_interleave(TILE_WIDTH, 1)
-        pixels = pixels[: camera.height, : camera.width]
-        under = torch.zeros_like(image) if base is None else base.double()
-        image, light = torch.where(pixels[..., None], image, under), torch.where(pixels, light, torch.ones_like(light))
     return Raster(image.to(means.dtype), light.to(means.dtype), probe)
 
 

@@ -87,13 +87,11 @@ def rasterise_cpu(
     background: Tensor,
     gradient_rows: int | None,
     tile_mask: Tensor | None,
-    base: Tensor | None,
 ) -> Raster:
     """`core.render.differentiable.rasterise` on numba kernels; arguments as there."""
     call, parameters = _Call(camera, gradient_rows), (means, quaternions, scales, opacities, colours)
     mask = None if tile_mask is None else tile_mask.detach().cpu().numpy().astype(np.bool_)
-    under = None if base is None else _array(base)
-    call.frame = forward(call.workspace, _cloud(*parameters), camera, _array(background), mask, under)
+    call.frame = forward(call.workspace, _cloud(*parameters), camera, _array(background), mask)
     return _raster(parameters, call)
 
 

@@ -72,15 +72,13 @@ def forward(
     camera: Camera,
     background: Float32,
     tile_mask: Bool | None = None,
-    base: Float32 | None = None,
     most_pairs: int = MAX_PAIRS,
 ) -> Frame:
     """Render `cloud`.
 
     Args:
         background: [3] float32.
-        tile_mask: [tiles_y,tiles_x] bool, tiles to render; all by default.
-        base: [H,W,3] float32 pixels outside the mask; zeros by default.
+        tile_mask: [tiles_y,tiles_x] bool, tiles to render; all by default. The others are black.
         most_pairs: of a Gaussian and a tile.
 
     Raises:
@@ -94,7 +92,10 @@ def forward(
     mask = np.ones(tiles_y * tiles_x, np.uint8) if tile_mask is None else tile_mask.astype(np.uint8).ravel()
     listing = list_gaussians(workspace, seen, rows, camera, mask, most_pairs=most_pairs)
     tiles, bounds = share_tiles(mask, np.diff(listing.offsets))
-    image, transmittance = _canvas(camera, tile_mask is None, base)
+    size = camera.height, camera.width
+    image, transmittance = np.empty((*size, 3), np.float32), np.empty(size, np.float32)
+    if tile_mask is not None:
+        image[:], transmittance[:] = 0, 1
     return blend(
         Frame(
             image=image,
@@ -121,14 +122,6 @@ def blend(frame: Frame, background: Float32) -> Frame:
     lists = (frame.layers, frame.sorted_records, frame.offsets, frame.lists)
     blend_tiles(frame.tiles, frame.bounds, tiles_x, *lists, background, frame.image, frame.transmittance)
     return frame
-
-
-def _canvas(camera: Camera, whole: bool, base: Float32 | None) -> tuple[Float32, Float32]:
-    """Picture and transmittance to draw over."""
-    size = camera.height, camera.width
-    if whole:
-        return np.empty((*size, 3), np.float32), np.empty(size, np.float32)
-    return np.zeros((*size, 3), np.float32) if base is None else base.copy(), np.ones(size, np.float32)
 
 
 def backward(

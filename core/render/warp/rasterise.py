@@ -18,7 +18,6 @@ from torch import Tensor
 from streamlod.core.camera import Camera
 from streamlod.core.render.cpu.listing import check_pairs
 from streamlod.core.render.raster import Probe, Raster
-from streamlod.core.render.tiles import TILE_HEIGHT, TILE_WIDTH
 from streamlod.core.render.warp.kernels.rules import BACKGROUND, CAMERA_NUMBERS, Cloud
 from streamlod.core.render.warp.listing import TileLists, camera_rows, cloud_room, grid_of, list_gaussians, listing
 from streamlod.core.render.warp.pictures import DrawnViews, Sight, differentiate, draw
@@ -35,8 +34,6 @@ def rasterise_warp(
     camera: Camera,
     background: Tensor,
     gradient_rows: int | None,
-    tile_mask: Tensor | None,
-    base: Tensor | None,
 ) -> Raster:
     """`core.render.differentiable.rasterise` with Warp's kernels; arguments as there, tensors on one device.
 
@@ -47,13 +44,12 @@ def rasterise_warp(
     parameters = (means, quaternions, scales, opacities, colours)
     moving = len(means) if gradient_rows is None else gradient_rows
     with torch.no_grad():
-        sight = _sight(camera, background, tile_mask, base)
+        sight = _sight(camera, background)
         first, behind = (_listed([value[rows] for value in parameters], sight) for rows in _halves(moving))
     shown = _tensor(first.lists.layer.place)[0, :moving, 2] > 0
     probe = Probe(torch.arange(moving, device=means.device), shown)
-    pixels = None if tile_mask is None else _pixels_of(tile_mask, camera)
     image, light = _Rasterised.apply(  # type: ignore[no-untyped-call]
-        *parameters, _Picture(camera, sight, first, behind.lists, pixels, probe, moving)
+        *parameters, _Picture(camera, sight, first, behind.lists, probe, moving)
     )
     return Raster(image, light, probe)
 
@@ -78,14 +74,12 @@ class _Picture:
 
     Attributes:
         moving: Gaussians that get gradients, the first `rows` of all; still: lists of the others.
-        pixels: [H,W] bool those that are drawn, or None for all.
     """
 
     camera: Camera
     sight: Sight
     moving: _Layer
     still: TileLists
-    pixels: Tensor | None
     probe: Probe
     rows: int
 
@@ -122,8 +116,6 @@ class _Rasterised(torch.autograd.Function):
         for array, gradient in ((out.by_image, by_image), (out.by_light, by_light)):
             if gradient is not None:
                 _tensor(array)[0] = gradient
-            if picture.pixels is not None:
-                _tensor(array)[0, ~picture.pixels] = 0
         by = cloud_room(1, room, picture.device)
         lists = (layer.lists, picture.still, picture.sight, out)
         differentiate(*lists, layer.count, layer.cloud, by, picture.device)
@@ -138,18 +130,14 @@ class _Rasterised(torch.autograd.Function):
         return (*found, None)
 
 
-def _sight(camera: Camera, background: Tensor, tile_mask: Tensor | None, base: Tensor | None) -> Sight:
-    """The camera, what lies behind everything, and which tiles are drawn over which picture."""
+def _sight(camera: Camera, background: Tensor) -> Sight:
+    """The camera, and what lies behind everything; all tiles are drawn."""
     device, place = wp.device_from_torch(background.device), background.device
     grid = grid_of(camera.width, camera.height)
     rows = _camera_rows(camera, place).clone()
     rows[0, BACKGROUND:CAMERA_NUMBERS] = background
     dirty = torch.ones(1, grid.tiles, dtype=torch.int32, device=place)
-    if tile_mask is not None:
-        dirty[0] = tile_mask.reshape(-1)
     under = torch.zeros(1, camera.height, camera.width, 3, device=place)
-    if base is not None:
-        under[0] = base
     cameras, tiles, shown = wp.from_torch(rows), wp.from_torch(dirty), wp.from_torch(under, dtype=wp.vec3)
     return Sight(grid, cameras, wp.zeros(1, dtype=int, device=device), tiles, shown)
 
@@ -179,12 +167,6 @@ def _screen(lists: TileLists, sums: Any) -> Tensor:
     conic, found = _tensor(lists.layer.conic)[0], _tensor(sums)[0]
     x, y = found[:, 4], found[:, 5]
     return -torch.stack([conic[:, 0] * x + conic[:, 1] * y, conic[:, 1] * x + conic[:, 2] * y], dim=1)
-
-
-def _pixels_of(tile_mask: Tensor, camera: Camera) -> Tensor:
-    """[H,W] bool: the pixels of the tiles of `tile_mask` [tiles_y,tiles_x]."""
-    pixels = tile_mask.bool().repeat_interleave(TILE_HEIGHT, 0).repeat_interleave(TILE_WIDTH, 1)
-    return pixels[: camera.height, : camera.width]
 
 
 def _tensor(array: Any) -> Tensor:

@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from streamlod.core.render import rasterise
-from streamlod.core.render.tiles import tile_grid
 from tests.core.render.scenes import BACKGROUND, NAMES, make_camera, make_cloud, relative, run
 from tests.core.render.test_extremes import CAMERA, CULLED, DRAWN, ODD, PLACES, check_finite, odd, without_odd
 
@@ -56,19 +55,6 @@ def test_only_the_first_rows_get_gradients(gpu: str) -> None:
     for name in NAMES:
         assert not outcome.gradients[name][30:].any()
     assert int(outcome.probe.visible.max()) < 30
-
-
-def test_tiles_outside_the_mask_come_from_the_base(gpu: str) -> None:
-    cloud, camera = make_cloud(100), make_camera(100, 60)
-    parameters = [torch.tensor(getattr(cloud, name), device=gpu) for name in NAMES]
-    background = torch.tensor(BACKGROUND, device=gpu)
-    mask = torch.zeros(tile_grid(100, 60), dtype=torch.bool, device=gpu)
-    mask[1, 1] = True
-    base = torch.rand(60, 100, 3, device=gpu)
-    whole = rasterise(*parameters, camera, background, backend="cuda").image
-    part = rasterise(*parameters, camera, background, tile_mask=mask, base=base, backend="cuda").image
-    assert torch.equal(part[16:32, 16:32], whole[16:32, 16:32])
-    assert torch.equal(part[:16], base[:16])
 
 
 def test_nothing_to_draw_gives_the_background(gpu: str) -> None:

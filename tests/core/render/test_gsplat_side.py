@@ -8,16 +8,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 import streamlod.core.render.cuda
 from streamlod.core.camera import pinhole
-from streamlod.core.render import rasterise
 from streamlod.core.render.reference import _visible, blend, project
-from streamlod.core.render.tiles import tile_grid
 from tests.core.render.scenes import BACKGROUND, NAMES, make_camera, make_cloud, relative, run
 
 
@@ -68,21 +65,6 @@ def test_picture_gradients_and_probe_equal_the_reference(moving: int | None) -> 
         assert relative(found.gradients[name], wanted.gradients[name]) < 1e-4, name
     assert torch.equal(found.probe.visible, wanted.probe.visible)
     assert relative(found.probe.gradients, wanted.probe.gradients) < 1e-4
-
-
-def test_tiles_outside_the_mask_come_from_the_base() -> None:
-    cloud, camera = make_cloud(60), make_camera(50, 40)
-    parameters = [torch.tensor(getattr(cloud, name)) for name in NAMES]
-    background, mask = torch.tensor(BACKGROUND), torch.zeros(tile_grid(50, 40), dtype=torch.bool)
-    mask[1, 1] = True
-    base = torch.rand(40, 50, 3)
-    whole = rasterise(*parameters, camera, background, backend="cuda")
-    part = rasterise(*parameters, camera, background, tile_mask=mask, base=base, backend="cuda")
-    inside = np.zeros((40, 50), np.bool_)
-    inside[16:32, 16:32] = True
-    assert torch.equal(part.image[inside], whole.image[inside])
-    assert torch.equal(part.image[~inside], base[~inside])
-    assert (part.transmittance[~inside] == 1).all()
 
 
 def test_nothing_in_sight_is_the_background() -> None:

@@ -1,4 +1,4 @@
-"""The rasteriser in Warp as training calls it: against the float64 reference, and where only some of it is wanted."""
+"""The rasteriser in Warp as training calls it, against the float64 reference."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import pytest
 import torch
 import warp as wp
 
-from streamlod.core.camera import Camera, pinhole
+from streamlod.core.camera import pinhole
 from streamlod.core.errors import ModelError
 from streamlod.core.render import Backend, rasterise
-from streamlod.core.render.tiles import tile_grid
 from streamlod.core.scene.gaussians import GaussianCloud
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import preset
@@ -88,26 +87,6 @@ def test_needles_beyond_all_integers_are_drawn(length: float) -> None:
     needle = replace(one, means=np.float32([[0, 0, 5]]), quaternions=facing, scales=wide, opacities=np.float32([0.8]))
     found, wanted = run(needle, camera, "warp"), run(needle, camera, "reference")
     assert float((found.image - wanted.image).abs().max()) < 1e-5
-
-
-def test_a_mask_keeps_the_base_and_stops_gradients() -> None:
-    cloud, camera = make_cloud(200, seed=3), make_camera(61, 47)
-    mask = torch.zeros(tile_grid(61, 47), dtype=torch.bool)
-    mask[1, 1:3] = True
-    wanted, found = (masked(cloud, camera, mask, backend) for backend in BACKENDS)
-    assert float((found[0] - wanted[0]).abs().max()) < 1e-5
-    assert all(relative(one, other) < BOUND for one, other in zip(found[1:], wanted[1:], strict=True))
-
-
-def masked(cloud: GaussianCloud, camera: Camera, mask: torch.Tensor, backend: Backend) -> list[torch.Tensor]:
-    """The picture in a mask over noise, then the gradients of a random loss."""
-    g = torch.Generator().manual_seed(1)
-    base, weights = (torch.rand(camera.height, camera.width, 3, generator=g) for _ in range(2))
-    parameters = [torch.tensor(getattr(cloud, name)).requires_grad_() for name in NAMES]
-    behind = torch.tensor(BACKGROUND)
-    raster = rasterise(*parameters, camera, behind, tile_mask=mask, base=base, backend=backend)
-    ((raster.image * weights).sum() + (raster.transmittance * weights[..., 0]).sum()).backward()
-    return [raster.image.detach(), *(parameter.grad for parameter in parameters if parameter.grad is not None)]
 
 
 def test_nothing_shows_the_background() -> None:
