@@ -325,12 +325,10 @@ class PartSettings:
 
     Attributes:
         name: of the part, by which its settings are reached.
-        adds_anchors: whether later frames have more anchors by it.
         needs_gradients: whether it asks how the loss pulls at Gaussians in the picture (`core.render.raster.Probe`).
     """
 
     name: ClassVar[str] = ""
-    adds_anchors: ClassVar[bool] = False
     needs_gradients: ClassVar[bool] = False
 
     def most_added(self, alive: int) -> int:

@@ -26,6 +26,9 @@ _SLOWLY = ("feature", "scaling")  # decay to the square root of what the others 
 class AddedAnchors:
     """n new anchors.
 
+    Attributes:
+        node: [n,3] world positions of their grid nodes.
+
     Args:
         start: the seven arrays of a field, by name, with n rows.
         known: the anchors that they are trained with. scene: what these are of, to whose steps new ones are rounded.
@@ -40,8 +43,8 @@ class AddedAnchors:
         self._rates = {name: rate / float(steps[name].mean()) for name, rate in RATES.items()}
         steps["position"] = torch.from_numpy(header.position_steps).to(device)[start["level"]][:, None]
         voxel, level = (start[name].cpu().numpy() for name in ("voxel", "level"))
-        self._node = torch.from_numpy(known.octree.node_of(voxel, level)).float().to(device)
-        begin = start | {"position": start["position"] - self._node}
+        self.node = torch.from_numpy(known.octree.node_of(voxel, level)).float().to(device)
+        begin = start | {"position": start["position"] - self.node}
         leaves = {f"new_{name}": (begin[name] / width).requires_grad_() for name, width in steps.items()}
         optimiser.join(leaves)
         self._parameters, self._names = optimiser.parameters, tuple(steps)
@@ -52,13 +55,8 @@ class AddedAnchors:
     def rows(self) -> dict[str, Tensor]:
         """Their features, offsets, scalings and positions, rounded; gradients go straight through the rounding."""
         values = (self._parameters[f"new_{name}"] for name in self._names)
-        rounded = _Rounded.apply(self._node, *self._steps, *values)  # type: ignore[no-untyped-call]
+        rounded = _Rounded.apply(self.node, *self._steps, *values)  # type: ignore[no-untyped-call]
         return dict(zip(self._names, rounded, strict=True))
-
-    @property
-    def node(self) -> Tensor:
-        """[n,3] world positions of their grid nodes."""
-        return self._node
 
     @property
     def numbers(self) -> Tensor:

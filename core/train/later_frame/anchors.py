@@ -26,8 +26,13 @@ from streamlod.core.train.optimise.rate import residual_bits
 class TrainedAnchors:
     """Anchors `rows` [n] of a state in training.
 
+    Attributes:
+        base: they before the frame. unit: what one step of their numbers changes.
+        steps_a_pixel: [n,1] position steps in which each goes a pixel: positions are trained in pixels, and known
+            to all others in steps.
+        added: those that the frame adds; None before it does.
+
     Args:
-        steps_a_pixel: [n,1] of each. Positions are trained in pixels, and known to all others in steps.
         memory: Adam's beta_1.
     """
 
@@ -43,37 +48,22 @@ class TrainedAnchors:
         self.base, self._scene = field.with_rows(rows), scene
         steps = (scene.weights.feature_decoder, scene.weights.offset_decoder, scene.header.position_steps)
         feature, offset, by_level = (torch.from_numpy(part).to(device) for part in steps)
-        self._unit = UnitChange(feature, offset, by_level[self.base.level][:, None])
-        self._steps_a_pixel = steps_a_pixel
+        self.unit = UnitChange(feature, offset, by_level[self.base.level][:, None])
+        self.steps_a_pixel = steps_a_pixel
         self._median_steps_a_pixel = float(steps_a_pixel.median())  # asked of the device once
         widths = {"latent": LATENTS, "position": 3}
         leaves = {name: torch.zeros(len(rows), width, device=device) for name, width in widths.items()}
         self.optimiser = RowAdam({name: value.requires_grad_() for name, value in leaves.items()}, memory)
-        self._added: AddedAnchors | None = None
+        self.added: AddedAnchors | None = None
         self._broken_elsewhere = 0
 
     def __len__(self) -> int:
         return len(self.base)
 
     @property
-    def unit(self) -> UnitChange:
-        """What one step of their numbers changes."""
-        return self._unit
-
-    @property
-    def steps_a_pixel(self) -> Tensor:
-        """[n,1] position steps in which each goes a pixel."""
-        return self._steps_a_pixel
-
-    @property
-    def added(self) -> AddedAnchors | None:
-        """Those that the frame adds; None before it does."""
-        return self._added
-
-    @property
     def moves(self) -> Tensor:
         """[n,3] how far each anchor goes in steps."""
-        return self.optimiser.parameters["position"] * self._steps_a_pixel
+        return self.optimiser.parameters["position"] * self.steps_a_pixel
 
     def bits(self, moves: Tensor) -> Tensor:
         """[] that the residuals of all n would take; `moves` as above."""
@@ -82,7 +72,7 @@ class TrainedAnchors:
     @torch.no_grad()
     def by_residuals(self) -> Field:
         """All n as they are now, without gradients."""
-        return applied(self.base, self.optimiser.parameters["latent"], self.moves, self._unit)
+        return applied(self.base, self.optimiser.parameters["latent"], self.moves, self.unit)
 
     def field(self, moves: Tensor | None = None) -> Field:
         """As they will be sent: those that residuals change, and behind them those that are added.
@@ -91,28 +81,28 @@ class TrainedAnchors:
             moves: as above, where they are at hand.
         """
         moves = self.moves if moves is None else moves
-        changed = applied(self.base, self.optimiser.parameters["latent"], moves, self._unit)
-        return changed if self._added is None else self._added.behind(changed)
+        changed = applied(self.base, self.optimiser.parameters["latent"], moves, self.unit)
+        return changed if self.added is None else self.added.behind(changed)
 
     def starting_at(self, position: Tensor) -> Field:
         """All n if they began `position` [n,3] steps from where they were."""
-        return applied(self.base, self.optimiser.parameters["latent"].detach(), position, self._unit)
+        return applied(self.base, self.optimiser.parameters["latent"].detach(), position, self.unit)
 
     def begin_at(self, position: Tensor) -> None:
         """Let their positions begin there."""
         with torch.no_grad():
-            self.optimiser.parameters["position"].copy_(position / self._steps_a_pixel)
+            self.optimiser.parameters["position"].copy_(position / self.steps_a_pixel)
 
     def add(self, new: dict[str, Tensor]) -> None:
         """Train `new` anchors too from now on, the seven arrays of a field; once a frame."""
         if len(new["level"]):
-            self._added = AddedAnchors(new, self.base, self._scene, self.optimiser)
+            self.added = AddedAnchors(new, self.base, self._scene, self.optimiser)
 
     def rates(self, config: PredictConfig, decay: float) -> dict[str, float]:
         """How fast each parameter learns; rates have fallen to the share `decay`."""
         rates = {"latent": config.latent_rate, "position": config.position_rate}
         steps = config.position_rate * self._median_steps_a_pixel
-        added = {} if self._added is None else self._added.rates(steps, decay)
+        added = {} if self.added is None else self.added.rates(steps, decay)
         return {name: rate * decay for name, rate in rates.items()} | added
 
     def step(self, config: PredictConfig, decay: float) -> None:
@@ -130,8 +120,8 @@ class TrainedAnchors:
         """
         self.optimiser.parameters["latent"].copy_(latent)
         self.optimiser.parameters["position"].copy_(position)
-        if self._added is not None and len(added):
-            self._added.adopt(added)
+        if self.added is not None and len(added):
+            self.added.adopt(added)
         self._broken_elsewhere = broken
 
     @torch.no_grad()
@@ -149,10 +139,10 @@ class TrainedAnchors:
         """
         latent, position = map(_finite_integers, (self.optimiser.parameters["latent"], self.moves))
         added = None
-        if self._added is not None:
+        if self.added is not None:
             new = np.flatnonzero(shown[len(self) :])
             chosen = self.field().with_rows(torch.from_numpy(new + len(self)).to(self.base.feature.device)).to("cpu")
-            added = levels_of(chosen, self._added.moved[new], self._scene.header)
+            added = levels_of(chosen, self.added.moved[new], self._scene.header)
         return IntegerUpdate(
             latent,
             position,

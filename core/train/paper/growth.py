@@ -18,7 +18,6 @@ class PaperGrowth(FramePart):
     """A later frame adds anchors with the features of those whose gradients are large."""
 
     name: ClassVar[str] = "gradient_growth"
-    adds_anchors: ClassVar[bool] = True
     needs_gradients: ClassVar[bool] = True
 
     at: float = setting(

@@ -70,8 +70,8 @@ class WarpEngine:
         """As `FrameEngine.finish`."""
         if self._steps is None:
             return
-        room, numbers = self._whole.room, self._steps.numbers()
-        self._task.anchors.adopt(numbers.latent, numbers.position, numbers.added, int(view_of(room.trained.broken)[0]))
+        broken = int(view_of(self._whole.room.trained.broken)[0])
+        self._task.anchors.adopt(*self._steps.numbers(), broken)
         if self._rooms.overflow:
             _LOG.warning("some tiles lacked Gaussians in training, which had no room; the next frame has more")
 

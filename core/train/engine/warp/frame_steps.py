@@ -59,15 +59,6 @@ def told(number: int, settings: StepSettings, counted: int = 0, joined: int = 0)
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameNumbers:
-    """Numbers of n anchors and of m that were added: latent [n,24], position [n,3] in pixels, added [m,F+3K+9]."""
-
-    latent: Tensor
-    position: Tensor
-    added: Tensor
-
-
 class FrameSteps:
     """Steps of one frame, whose anchors, Gaussians and pictures lie in memory (`core.train.engine.warp.frame`).
 
@@ -98,12 +89,15 @@ class FrameSteps:
         add_anchors(self._room, node, values, width)
         self._joined, self._added, self._counted = self._taken, len(node), 0
 
-    def numbers(self) -> FrameNumbers:
-        """What the last step left; where steps counted into the mean, the mean."""
+    def numbers(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Latents [n,24], positions [n,3] in pixels and numbers of m added anchors [m,F+3K+9].
+
+        They are what the last step left; where steps counted into the mean, the mean.
+        """
         old, new = self._room.trained, self._room.trained_added
         flat, added = (old.mean, new.mean) if self._counted else (old.values, new.values)
         own = view_of(flat).view(-1, LATENTS + 3)[: self._count].clone()
-        return FrameNumbers(own[:, :LATENTS], own[:, LATENTS:], view_of(added)[: self._added].clone())
+        return own[:, :LATENTS], own[:, LATENTS:], view_of(added)[: self._added].clone()
 
 
 def mark_reached(step: TrainingStep, anchors: int) -> None:

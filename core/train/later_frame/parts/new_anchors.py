@@ -23,7 +23,6 @@ class AnchorGrowth(FramePart):
     """
 
     name: ClassVar[str] = "new_anchors"
-    adds_anchors: ClassVar[bool] = True
 
     at: float = setting(0.3, "share of the frame's steps after which anchors are added, 0 to 1", left_out(_WHY))
     share: float = setting(0.02, "added anchors a frame, at most this share of all, 0 to 1", left_out(_WHY))

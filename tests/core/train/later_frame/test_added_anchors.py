@@ -97,7 +97,7 @@ def test_they_are_rounded_with_the_gradient_of_the_identity() -> None:
         plain = round_through(value) * steps
         (wanted,) = torch.autograd.grad((plain * weight).sum(), value)
         torch.testing.assert_close(found, wanted)
-        node = new._node if name == "position" else 0
+        node = new.node if name == "position" else 0
         torch.testing.assert_close(rows, plain + node)
 
 
