@@ -63,7 +63,7 @@ def first_points(
         finder = method
         if isinstance(finder, str):
             finder = load(finder) if finder in PLUGINS else _KNOWN[finder]
-        points = finder.find(PointSources(frame, cameras, depth_bounds, dataset_points, seed, report))
+        points = finder(PointSources(frame, cameras, depth_bounds, dataset_points, seed, report))
     if len(points) == 0:
         raise ModelError(f"first points by {method}: none were found; try random or a points file")
     report(1.0)

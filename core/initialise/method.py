@@ -1,10 +1,9 @@
-"""The interface of a method of finding first points."""
+"""A method of finding first points, and what it is given."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from streamlod.core.camera import Camera
 from streamlod.core.errors import InputError
@@ -50,13 +49,6 @@ class PointSources:
         return estimate_bounds(views)
 
 
-class Method(Protocol):
-    """A way to first points: a frozen dataclass whose fields are its choices."""
-
-    def find(self, sources: PointSources) -> PointCloud:
-        """Points to start from, possibly none.
-
-        Raises:
-            InputError: the pictures cannot be used in this way.
-            BackendUnavailable: a package that the method needs is not installed.
-        """
+Method = Callable[[PointSources], PointCloud]
+"""Points to start from, possibly none. Raises InputError where the pictures cannot be used in this way, and
+BackendUnavailable where a package that the method needs is not installed."""

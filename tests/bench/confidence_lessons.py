@@ -27,7 +27,7 @@ from streamlod.core.camera import Camera
 from streamlod.core.data import Dataset, linspace_split
 from streamlod.core.initialise.confidence.evidence import Matches, evidence
 from streamlod.core.initialise.consistency import knowing, votes
-from streamlod.core.initialise.methods.plane_sweep import PlaneSweep
+from streamlod.core.initialise.methods.plane_sweep import ROWS, swept
 from streamlod.core.initialise.stereo.sweep import DepthMap
 from streamlod.core.initialise.views import WorkingViews, working_views
 from streamlod.core.synthetic import ground_truth, open_synthetic
@@ -141,9 +141,9 @@ def _synthetic(scene: ZooScene, choice: Choice) -> Lesson:
     assert plain is not None
     spec = replace(plain, seed=seed, exposure_spread=exposure_spread, noise=noise)
     whole = open_synthetic(spec)
-    part, sweep = whole.select(choice.cameras), PlaneSweep()
-    views = working_views(next(iter(part.frames(0, 1))), part.cameras, sweep.rows)
-    matches, errors = sweep.matches(_off(views, off), whole.depth_bounds), []
+    part = whole.select(choice.cameras)
+    views = working_views(next(iter(part.frames(0, 1))), part.cameras, ROWS)
+    matches, errors = swept(_off(views, off), whole.depth_bounds), []
     for name, depth_map in zip(choice.cameras, matches.maps, strict=True):
         height, width = depth_map.depth.shape
         truth = ground_truth(spec, 0, whole.names.index(name)).depth
@@ -177,8 +177,8 @@ def _all(data: Path, name: str) -> tuple[Dataset, dict[str, tuple[DepthMap, Bool
 
 
 def _matches(whole: Dataset, names: tuple[str, ...]) -> Matches:
-    part, sweep = whole.select(names), PlaneSweep()
-    return sweep.matches(working_views(next(iter(part.frames(0, 1))), part.cameras, sweep.rows), whole.depth_bounds)
+    part = whole.select(names)
+    return swept(working_views(next(iter(part.frames(0, 1))), part.cameras, ROWS), whole.depth_bounds)
 
 
 def _recorded(data: Path, scene: ZooScene, choice: Choice) -> Lesson:

@@ -18,7 +18,7 @@ import torch
 from streamlod.core.arrays import Bool, Float32
 from streamlod.core.initialise.confidence.evidence import CUES
 from streamlod.core.initialise.confidence.network import FAR, Confidence
-from streamlod.core.initialise.methods.learned import LearnedSweep
+from streamlod.core.initialise.methods.learned import LEAST_CONFIDENCE
 from tests.bench.confidence_lessons import Lesson, read_lessons
 
 _RIGHT = 0.03  # relative error of a depth that is right
@@ -73,7 +73,7 @@ def judged(confidence: Confidence, lesson: Lesson) -> str:
     """
     texts = []
     for name, chosen in (
-        ("above the threshold", confidence(lesson.evidence) > LearnedSweep().least_confidence),
+        ("above the threshold", confidence(lesson.evidence) > LEAST_CONFIDENCE),
         ("the tests", lesson.trusted),
     ):
         error = lesson.error[chosen & ~np.isnan(lesson.error)]

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from streamlod.core.arrays import Bool, Float32, Float64
-from streamlod.core.initialise.confidence.witness import MARGINS, SAME, Surfaces, nearest, surfaces, witness
+from streamlod.core.initialise.confidence.witness import MARGINS, SAME, WITNESSES, Surfaces, surfaces, witness
 from streamlod.core.initialise.consistency import pieces
 from streamlod.core.initialise.stereo.patches import SlantedMap
 from streamlod.core.initialise.stereo.sweep import DepthMap, neighbours
@@ -66,7 +66,7 @@ def _any_trusted(matches: Matches) -> list[tuple[SlantedMap, Bool]]:
 def _of_view(matches: Matches, index: int, held: Sequence[Surfaces], usual: float) -> Float32:
     mine, facing, normals = matches.maps[index], matches.facing[index], held[index].normals
     shape, points = mine.depth.shape, mine.points()
-    witnesses = [witness(held[other], points, normals) for other in nearest(matches.views, index)]
+    witnesses = [witness(held[other], points, normals) for other in neighbours(matches.views, index, WITNESSES)]
     difference = np.stack([witness.difference for witness in witnesses])
     best = difference.argmin(axis=0)[None]
 

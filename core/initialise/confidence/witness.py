@@ -9,11 +9,11 @@ from scipy.ndimage import minimum_filter
 
 from streamlod.core.arrays import Bool, Float32, Float64
 from streamlod.core.initialise.stereo.patches import SlantedMap
-from streamlod.core.initialise.views import WorkingViews, inside, project
+from streamlod.core.initialise.views import inside, project
 
 SAME = 0.02  # relative difference of depths that agree
 MARGINS = -0.5, 1.0  # beyond them a margin says no more
-_WITNESSES = 7  # nearest views, as many as the network has learnt from: by chance, one of many agrees with anything
+WITNESSES = 7  # nearest views, as many as the network has learnt from: by chance, one of many agrees with anything
 _UNSEEN_COST, _UNSEEN_COSINE = 3.0, -1.0  # where a view does not see the point: as bad as can be, or worse
 
 
@@ -56,13 +56,6 @@ def surfaces(depth_map: SlantedMap, trusted: Bool) -> Surfaces:
     """A view of which the pixels `trusted` [H,W] pass the tests."""
     sure = np.where(trusted, depth_map.depth, np.float32(np.inf))
     return Surfaces(depth_map, depth_map.normals(), minimum_filter(depth_map.depth, 3), minimum_filter(sure, 3))
-
-
-def nearest(views: WorkingViews, index: int) -> list[int]:
-    """The views that are asked about view `index`."""
-    centres = np.stack([camera.centre for camera in views.cameras])
-    order = np.argsort(np.linalg.norm(centres - centres[index], axis=1), kind="stable")
-    return [int(other) for other in order if other != index][:_WITNESSES]
 
 
 def witness(other: Surfaces, points: Float64, normals: Float64) -> Witness:

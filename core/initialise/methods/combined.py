@@ -3,59 +3,40 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from streamlod.core.frames import PointCloud
 from streamlod.core.initialise.completion import Completion
-from streamlod.core.initialise.method import Method, PointSources
-from streamlod.core.initialise.methods.dataset import DatasetPoints
-from streamlod.core.initialise.methods.learned import LearnedSweep
-from streamlod.core.initialise.methods.plane_sweep import PlaneSweep
-from streamlod.core.initialise.methods.random import RandomPoints
+from streamlod.core.initialise.method import PointSources
+from streamlod.core.initialise.methods.dataset import dataset_points
+from streamlod.core.initialise.methods.learned import learned_sweep
+from streamlod.core.initialise.methods.plane_sweep import plane_sweep
+from streamlod.core.initialise.methods.random import random_points
 
+_FEW = 500  # points; fewer are no start
+_COMPLETION = Completion()
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class Both:
-    """The points of two methods together."""
-
-    first: Method
-    second: Method
-
-    def find(self, sources: PointSources) -> PointCloud:
-        """The points of `first`, then those of `second`."""
-        return merged(self.first.find(sources), self.second.find(sources))
+def colmap_and_sweep(sources: PointSources) -> PointCloud:
+    """The points of the data set, then those of a plane sweep."""
+    return merged(dataset_points(sources), plane_sweep(sources))
 
 
-@dataclass(frozen=True, slots=True)
-class Automatic:
-    """The data set's points with those that pictures give, and what fills the gaps between them.
-
-    Attributes:
-        sweep: finds points in the pictures of two cameras or more. last_resort: where that gives too few.
-        completion: fills the gaps that both leave.
-        few: points; fewer are no start.
+def automatic(sources: PointSources) -> PointCloud:
+    """The data set's points with those that pictures give, and what fills the gaps between them; where both are few,
+    random ones as well.
     """
-
-    sweep: Method = field(default_factory=LearnedSweep)
-    last_resort: Method = field(default_factory=RandomPoints)
-    completion: Completion = field(default_factory=Completion)
-    few: int = 500
-
-    def find(self, sources: PointSources) -> PointCloud:
-        """Whatever can be had."""
-        points = sources.dataset_points or PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
-        several = sources.frame.present.sum() > 1
-        if several:
-            points = merged(points, self.sweep.find(sources))
-        if len(points) < self.few:
-            doubt = "; are the cameras where their poses say? `streamlod check` tells" if several else ""
-            _log.warning("the pictures gave only %d first points%s", len(points), doubt)
-            points = merged(points, self.last_resort.find(sources))
-        return self.completion.completed(points, sources.views(self.completion.rows))
+    points = sources.dataset_points or PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
+    several = sources.frame.present.sum() > 1
+    if several:
+        points = merged(points, learned_sweep(sources))
+    if len(points) < _FEW:
+        doubt = "; are the cameras where their poses say? `streamlod check` tells" if several else ""
+        _log.warning("the pictures gave only %d first points%s", len(points), doubt)
+        points = merged(points, random_points(sources))
+    return _COMPLETION.completed(points, sources.views(_COMPLETION.rows))
 
 
 def merged(first: PointCloud, second: PointCloud) -> PointCloud:
@@ -65,4 +46,4 @@ def merged(first: PointCloud, second: PointCloud) -> PointCloud:
     )
 
 
-METHODS = {"auto": Automatic(), "colmap+sweep": Both(DatasetPoints(), PlaneSweep())}
+METHODS = {"auto": automatic, "colmap+sweep": colmap_and_sweep}

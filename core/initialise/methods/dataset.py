@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from streamlod.core.errors import InputError
 from streamlod.core.frames import PointCloud
 from streamlod.core.initialise.method import PointSources
 
 
-@dataclass(frozen=True, slots=True)
-class DatasetPoints:
-    """The data set's own points as they are."""
+def dataset_points(sources: PointSources) -> PointCloud:
+    """The data set's own points as they are.
 
-    def find(self, sources: PointSources) -> PointCloud:
-        """The points that the data set brings.
-
-        Raises:
-            InputError: the data set has none.
-        """
-        if sources.dataset_points is None:
-            raise InputError("first points", "the data set has none of its own: choose sweep, random or a points file")
-        return sources.dataset_points
+    Raises:
+        InputError: the data set has none.
+    """
+    if sources.dataset_points is None:
+        raise InputError("first points", "the data set has none of its own: choose sweep, random or a points file")
+    return sources.dataset_points
 
 
-METHODS = {"colmap": DatasetPoints()}
+METHODS = {"colmap": dataset_points}

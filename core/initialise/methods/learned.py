@@ -5,8 +5,6 @@ The tests lose most of what is near, plain or seen at a slant; few cameras see t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 from streamlod.core.arrays import Bool
 from streamlod.core.frames import PointCloud
 from streamlod.core.initialise.confidence.evidence import Matches, evidence
@@ -15,48 +13,40 @@ from streamlod.core.initialise.confidence.network import usual_confidence
 from streamlod.core.initialise.confidence.witness import SAME
 from streamlod.core.initialise.consistency import knowing, points_of, votes
 from streamlod.core.initialise.method import PointSources
-from streamlod.core.initialise.methods.plane_sweep import PlaneSweep
+from streamlod.core.initialise.methods.plane_sweep import ROWS, swept
 from streamlod.core.initialise.stereo.patch_kernel import UNSEEN
 
+LEAST_CONFIDENCE = 0.65  # smallest probability with which a pixel in a gap becomes a point
 _FEWEST = 3  # views that the network has learnt from
 _ROUNDS = 2  # what only confirms others must be confirmed itself
 
 
-@dataclass(frozen=True, slots=True)
-class LearnedSweep:
-    """The depths of a plane sweep that pass its tests, and in gaps of these those that a network believes.
+def learned_sweep(sources: PointSources) -> PointCloud:
+    """Points of believed depths of a plane sweep.
 
-    Attributes:
-        sweep: finds them; what passes its tests is believed, and nothing else where there are only two views.
-        least_confidence: smallest probability with which a pixel in a gap becomes a point.
+    Raises:
+        InputError: as `plane_sweep`.
     """
+    views = sources.views(ROWS)
+    matches = swept(views, sources.depth_bounds, sources.progress)
+    return points_of(views, matches.maps, believed(matches))
 
-    sweep: PlaneSweep = field(default_factory=PlaneSweep)
-    least_confidence: float = 0.65
 
-    def find(self, sources: PointSources) -> PointCloud:
-        """Points of believed depths.
-
-        Raises:
-            InputError: as `PlaneSweep.find`.
-        """
-        views = sources.views(self.sweep.rows)
-        matches = self.sweep.matches(views, sources.depth_bounds, sources.progress)
-        return points_of(views, matches.maps, self.believed(matches))
-
-    def believed(self, matches: Matches) -> list[Bool]:
-        """V times [H,W], pixels whose depth is taken for right."""
-        if len(matches.views) < _FEWEST:
-            return list(matches.trusted)
-        confidence, gaps = usual_confidence(), in_gaps(matches.maps, matches.trusted)
-        likely = [
-            (confidence(cues) > self.least_confidence).reshape(depth_map.depth.shape) & (depth_map.margin > -UNSEEN)
-            for cues, depth_map in zip(evidence(matches), matches.maps, strict=True)
-        ]
-        believed = [good | (sure & gap) for good, sure, gap in zip(matches.trusted, likely, gaps, strict=True)]
-        for _ in range(_ROUNDS):
-            believed = _confirmed(matches, believed)
-        return believed
+def believed(matches: Matches, least_confidence: float = LEAST_CONFIDENCE) -> list[Bool]:
+    """V times [H,W], pixels whose depth is taken for right: those that pass the tests, and where there are more than
+    two views, those in gaps that a network believes.
+    """
+    if len(matches.views) < _FEWEST:
+        return list(matches.trusted)
+    confidence, gaps = usual_confidence(), in_gaps(matches.maps, matches.trusted)
+    likely = [
+        (confidence(cues) > least_confidence).reshape(depth_map.depth.shape) & (depth_map.margin > -UNSEEN)
+        for cues, depth_map in zip(evidence(matches), matches.maps, strict=True)
+    ]
+    good = [sure | (belief & gap) for sure, belief, gap in zip(matches.trusted, likely, gaps, strict=True)]
+    for _ in range(_ROUNDS):
+        good = _confirmed(matches, good)
+    return good
 
 
 def _confirmed(matches: Matches, believed: list[Bool]) -> list[Bool]:
@@ -71,4 +61,4 @@ def _confirmed(matches: Matches, believed: list[Bool]) -> list[Bool]:
     return found
 
 
-METHODS = {"learned": LearnedSweep()}
+METHODS = {"learned": learned_sweep}

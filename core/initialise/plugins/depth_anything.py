@@ -32,20 +32,18 @@ class DepthAnythingPoints:
     Attributes:
         model: an any-view model, by its name at Hugging Face or by the folder that holds it. This one and the smaller
             ``depth-anything/DA3-SMALL`` are under Apache-2.0; larger ones are not for commercial use.
-        rows: of the pictures that the model is given.
     """
 
     model: str = "depth-anything/DA3-BASE"
-    rows: int = 504
 
-    def find(self, sources: PointSources) -> PointCloud:
+    def __call__(self, sources: PointSources) -> PointCloud:
         """Points on which the placed depth maps agree.
 
         Raises:
             InputError: fewer than two views, or cameras that all stand at one place.
             BackendUnavailable: the package or the weights are missing.
         """
-        return predicted_points(sources.views(self.rows), _SIDE, self._predict)
+        return predicted_points(sources.views(_SIDE), _SIDE, self._predict)
 
     def _predict(self, views: WorkingViews) -> PredictedDepth:
         """The prediction of the model for views at its size."""

@@ -6,7 +6,6 @@ VGGT cannot be told poses: it predicts its own, in its own scale.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,27 +21,17 @@ WEIGHTS_VARIABLE = "STREAMLOD_VGGT"
 _SIDE = 518  # pixels of the longer side of a picture, as in the model's training
 
 
-@dataclass(frozen=True, slots=True)
-class VggtPoints:
-    """Depth by the weights that the variable STREAMLOD_VGGT names, placed into the known cameras.
+def vggt_points(sources: PointSources) -> PointCloud:
+    """Points on which depth maps by the weights that STREAMLOD_VGGT names agree, placed into the known cameras.
 
-    Attributes:
-        rows: of the pictures that the model is given.
+    Raises:
+        InputError: fewer than two views, cameras that all stand at one place, or weights that cannot be read.
+        BackendUnavailable: the package or the weights are missing.
     """
-
-    rows: int = 518
-
-    def find(self, sources: PointSources) -> PointCloud:
-        """Points on which the placed depth maps agree.
-
-        Raises:
-            InputError: fewer than two views, cameras that all stand at one place, or weights that cannot be read.
-            BackendUnavailable: the package or the weights are missing.
-        """
-        return predicted_points(sources.views(self.rows), _SIDE, _predict)
+    return predicted_points(sources.views(_SIDE), _SIDE, _predict)
 
 
-METHOD = VggtPoints()
+METHOD = vggt_points
 
 
 def _predict(views: WorkingViews) -> PredictedDepth:

@@ -21,28 +21,15 @@ from streamlod.core.initialise.stereo.planes import facing, resampled
 from streamlod.core.initialise.stereo.sweep import DepthMap, neighbours, pair_geometry
 from streamlod.core.initialise.views import WorkingViews, pixel_centres
 
+_PASSES = 4  # of the first round, in which pictures of half the width and height decide alone
+_ROUNDS = 2  # after it, in which views are asked to agree
+_PASSES_A_ROUND = 2  # of each of these
+_AGREEMENT = 0.3  # weight in them of two pixels between a view's surface and another's
+_BESIDE = 2.0  # pixels of parallax at which a depth is compared with a nearer and a farther one
 _CHANGE = 0.1  # of the depth, tried in the first pass; half of it in each pass after it
 _COUNTED = 2  # sources whose costs are averaged (patch_kernel.py)
 _LEAST_ROWS = 120  # of pictures that are halved for the first round
 _AROUND = 1.02  # factor by which depths may lie outside the bounds
-
-
-@dataclass(frozen=True, slots=True)
-class Search:
-    """How long slanted windows are looked for.
-
-    Attributes:
-        passes: of the first round, in which pictures of half the width and height decide alone.
-        rounds: after it, in which views are asked to agree; passes_a_round: of each.
-        agreement: weight in them of two pixels between a view's surface and another's.
-        beside_pixels: pixels of parallax at which a depth is compared with a nearer and a farther one.
-    """
-
-    passes: int = 4
-    rounds: int = 2
-    passes_a_round: int = 2
-    agreement: float = 0.3
-    beside_pixels: float = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +62,6 @@ def slanted(
     views: WorkingViews,
     maps: Sequence[DepthMap],
     bounds: tuple[float, float],
-    search: Search = Search(),
     progress: Callable[[float], None] = lambda _: None,
 ) -> list[SlantedMap]:
     """`maps` of `views` with better depths.
@@ -88,30 +74,28 @@ def slanted(
     rows = views.size[1]
     small = views.resized(rows // 2) if rows >= _LEAST_ROWS else views
     planes = [resampled(facing(depth_map.depth, limits), small.size, limits) for depth_map in maps]
-    for round_number in range(1 + search.rounds):
+    for round_number in range(1 + _ROUNDS):
         if round_number == 1:
             planes = [resampled(plane, views.size, limits) for plane in planes]
-        _improve(small if round_number == 0 else views, planes, limits, search, round_number)
-        progress((1 + round_number) / (1 + search.rounds))
+        _improve(small if round_number == 0 else views, planes, limits, round_number)
+        progress((1 + round_number) / (1 + _ROUNDS))
     weights = [_weights(image) for image in views.images]
     held = [plane[..., 0] for plane in planes]
     return [
-        _judged(depth_map.camera, _pairs(views, index, weights[index], held), planes[index], limits[1], search)
+        _judged(depth_map.camera, _pairs(views, index, weights[index], held), planes[index], limits[1])
         for index, depth_map in enumerate(maps)
     ]
 
 
-def _improve(
-    views: WorkingViews, planes: Sequence[Float64], limits: tuple[float, float], search: Search, round_number: int
-) -> None:
+def _improve(views: WorkingViews, planes: Sequence[Float64], limits: tuple[float, float], round_number: int) -> None:
     """One round over all views, which changes their `planes`."""
     held = [plane[..., 0].copy() for plane in planes]
-    agreement = search.agreement if round_number else 0.0
+    agreement = _AGREEMENT if round_number else 0.0
     for index, plane in enumerate(planes):
         pairs = _pairs(views, index, _weights(views.images[index]), held)
         cost = np.empty(plane.shape[:2], np.float32)
         plane_costs(pairs, agreement, plane, cost)
-        for turn in range(search.passes_a_round if round_number else search.passes):
+        for turn in range(_PASSES_A_ROUND if round_number else _PASSES):
             change = _CHANGE * 0.5 ** (turn + 2 * min(round_number, 1))
             for parity in (0, 1):
                 improve(pairs, agreement, *limits, change, parity, turn + 10 * round_number, plane, cost)
@@ -135,7 +119,7 @@ def _pairs(views: WorkingViews, index: int, weights: Float32, held: list[Float64
     return Pairs(views.images[index], weights, views.images[sources], rays, shifts, back_rays, back_shifts, inverse)
 
 
-def _judged(camera: Camera, pairs: Pairs, planes: Float64, nearest: float, search: Search) -> SlantedMap:
+def _judged(camera: Camera, pairs: Pairs, planes: Float64, nearest: float) -> SlantedMap:
     """`planes` with what they and those beside them cost by the pictures alone.
 
     Args:
@@ -145,10 +129,10 @@ def _judged(camera: Camera, pairs: Pairs, planes: Float64, nearest: float, searc
     margin = np.full(cost.shape, np.inf, np.float32)
     plane_costs(pairs, 0.0, planes, cost)
     shift = np.sort(np.linalg.norm(pairs.shifts, axis=1))[:_COUNTED][-1]
-    if shift * nearest < search.beside_pixels:  # cameras in one place: no depth moves anything in the picture
+    if shift * nearest < _BESIDE:  # cameras in one place: no depth moves anything in the picture
         margin[:] = -UNSEEN
     else:
-        for side in (-search.beside_pixels, search.beside_pixels):
+        for side in (-_BESIDE, _BESIDE):
             plane_costs(pairs, 0.0, planes + np.array([side / shift, 0.0, 0.0]), beside)
             margin = np.minimum(margin, beside - cost)
     return SlantedMap(camera, np.asarray(1 / planes[..., 0], np.float32), cost, planes, margin)

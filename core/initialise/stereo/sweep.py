@@ -84,11 +84,11 @@ def plane_count(views: WorkingViews, bounds: tuple[float, float], most: int) -> 
     return int(np.clip(np.ceil(parallax / _PARALLAX), _MIN_PLANES, max(most, _MIN_PLANES)))
 
 
-def neighbours(views: WorkingViews, index: int) -> list[int]:
-    """The views nearest to view `index`, nearest first."""
+def neighbours(views: WorkingViews, index: int, most: int = _NEIGHBOURS) -> list[int]:
+    """The `most` views nearest to view `index`, nearest first."""
     centres = np.stack([camera.centre for camera in views.cameras])
     distance = np.linalg.norm(centres - centres[index], axis=1)
-    return [int(i) for i in np.argsort(distance, kind="stable") if i != index][:_NEIGHBOURS]
+    return [int(i) for i in np.argsort(distance, kind="stable") if i != index][:most]
 
 
 def pair_geometry(reference: Camera, source: Camera) -> tuple[Float64, Float64]:

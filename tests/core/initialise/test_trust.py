@@ -113,13 +113,12 @@ def test_exposures_are_told_apart_by_matched_pixels() -> None:
     np.testing.assert_allclose(even / even.mean(), 1.0, atol=0.03)
 
 
-def test_a_method_may_be_an_object_of_ones_own() -> None:
-    class One:
-        def find(self, sources: PointSources) -> PointCloud:
-            return PointCloud(np.full((1, 3), sources.seed, np.float32), np.zeros((1, 3), np.float32))
+def test_a_method_may_be_a_function_of_ones_own() -> None:
+    def one(sources: PointSources) -> PointCloud:
+        return PointCloud(np.full((1, 3), sources.seed, np.float32), np.zeros((1, 3), np.float32))
 
     frame = FrameSet(0, 0, np.zeros((1, 20, 20, 3), np.uint8), np.ones(1, np.bool_))
-    found = first_points(frame, [flat_map(0, 1).camera], depth_bounds=None, method=One(), seed=7)
+    found = first_points(frame, [flat_map(0, 1).camera], depth_bounds=None, method=one, seed=7)
     np.testing.assert_array_equal(found.positions, [[7, 7, 7]])
     assert set(METHODS) == {"auto", "colmap", "sweep", "colmap+sweep", "learned", "vggt", "depth-anything", "random"}
 

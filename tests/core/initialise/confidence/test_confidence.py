@@ -15,8 +15,8 @@ from streamlod.core.initialise import first_points
 from streamlod.core.initialise.confidence.evidence import CUES, Matches, evidence
 from streamlod.core.initialise.confidence.gaps import in_gaps
 from streamlod.core.initialise.confidence.network import Confidence, usual_confidence
-from streamlod.core.initialise.methods.learned import LearnedSweep
-from streamlod.core.initialise.methods.plane_sweep import PlaneSweep
+from streamlod.core.initialise.methods.learned import believed
+from streamlod.core.initialise.methods.plane_sweep import swept
 from streamlod.core.initialise.stereo.patch_kernel import UNSEEN
 from streamlod.core.initialise.stereo.patches import SlantedMap
 from streamlod.core.initialise.views import WorkingViews, working_views
@@ -91,7 +91,7 @@ def test_nothing_trusted_is_evidence_as_well() -> None:
 
 def test_two_views_are_left_to_the_tests() -> None:
     matches = matches_of(wall_map(0, 2.0), wall_map(0.1, 2.0))
-    assert all(a is b for a, b in zip(LearnedSweep().believed(matches), matches.trusted, strict=True))
+    assert all(a is b for a, b in zip(believed(matches), matches.trusted, strict=True))
 
 
 def test_only_the_nearest_views_are_asked() -> None:
@@ -106,39 +106,37 @@ def untrusted(matches: Matches) -> Matches:
 
 
 def test_depths_that_cannot_be_told_are_never_believed() -> None:
-    sweep = LearnedSweep(least_confidence=0.0)
     maps = [wall_map(x, 2.0) for x in (0, 0.1, -0.1)]
-    assert np.stack(sweep.believed(untrusted(matches_of(*maps)))).mean() > 0.9
+    assert np.stack(believed(untrusted(matches_of(*maps)), 0.0)).mean() > 0.9
     hopeless = [replace(one, margin=np.full_like(one.margin, -UNSEEN)) for one in maps]
-    assert not np.stack(sweep.believed(untrusted(matches_of(*hopeless)))).any()
+    assert not np.stack(believed(untrusted(matches_of(*hopeless)), 0.0)).any()
 
 
 def test_what_passes_the_tests_stays_whatever_the_network_says() -> None:
     matches = matches_of(*(wall_map(x, 2.0) for x in (0, 0.1, -0.1)))
-    assert np.stack(LearnedSweep(least_confidence=1.0).believed(matches)).all()
+    assert np.stack(believed(matches, 1.0)).all()
 
 
 def test_a_depth_needs_another_view_that_agrees_and_fewer_that_look_through() -> None:
-    sweep = LearnedSweep(least_confidence=0.0)
     alone = untrusted(matches_of(wall_map(0, 1.0), wall_map(0.1, 2.0), wall_map(-0.1, 2.0)))
-    near, *far = sweep.believed(alone)
+    near, *far = believed(alone, 0.0)
     assert not near[8:16, 8:16].any()
     assert all(one[8:16, 8:16].all() for one in far)
     twice = untrusted(matches_of(wall_map(0, 1.0), wall_map(0.1, 1.0), wall_map(-0.1, 2.0)))
-    assert not np.stack(sweep.believed(twice))[:, 8:16, 8:16].any()  # one for it, one against
+    assert not np.stack(believed(twice, 0.0))[:, 8:16, 8:16].any()  # one for it, one against
 
 
 def test_a_witness_needs_witnesses_itself() -> None:
     """The first agrees with the second alone, which the third looks through; nothing agrees with the third."""
     chain = untrusted(matches_of(wall_map(0, 2.06), wall_map(0.1, 2.03), wall_map(-0.1, 2.12)))
-    assert not np.stack(LearnedSweep(least_confidence=0.0).believed(chain))[:, 8:16, 8:16].any()
+    assert not np.stack(believed(chain, 0.0))[:, 8:16, 8:16].any()
 
 
 def test_the_network_is_asked_in_gaps_alone() -> None:
     matches = matches_of(*(wall_map(x, 2.0) for x in (0, 0.1, -0.1)))
     nothing = np.zeros((SIDE, SIDE), np.bool_)
     covered = replace(matches, trusted=[nothing, *matches.trusted[1:]])
-    assert not LearnedSweep(least_confidence=0.0).believed(covered)[0][8:16, 8:16].any()
+    assert not believed(covered, 0.0)[0][8:16, 8:16].any()
 
 
 @pytest.mark.parametrize(("depth", "gap"), [(2.0, False), (1.0, False), (2.06, False), (2.2, True)])
@@ -156,8 +154,8 @@ def test_noise_on_a_plain_floor_is_not_believed() -> None:
     generator, cameras = np.random.default_rng(0), tuple(floor_camera(x) for x in np.linspace(-0.5, 0.5, 8))
     pictures = np.stack([floor_picture(camera, 0.02) for camera in cameras])
     noisy = np.clip(pictures + generator.normal(0, 0.01, pictures.shape), 0, 1).astype(np.float32)
-    matches = PlaneSweep().matches(WorkingViews(cameras, noisy), BOUNDS)
-    assert np.stack(LearnedSweep().believed(matches)).mean() < 0.01
+    matches = swept(WorkingViews(cameras, noisy), BOUNDS)
+    assert np.stack(believed(matches)).mean() < 0.01
 
 
 def test_the_weights_belong_to_these_cues() -> None:
@@ -199,17 +197,17 @@ def test_it_finds_more_right_depths_than_the_tests_alone() -> None:
     spec = SyntheticSpec(kind="bright", cameras=3, frames=1, width=160, height=90, seed=5)
     dataset = open_synthetic(spec)
     views = working_views(next(iter(dataset.frames())), dataset.cameras, 90)
-    matches = PlaneSweep().matches(views, dataset.depth_bounds)
+    matches = swept(views, dataset.depth_bounds)
     network = usual_confidence()
     confidence = np.concatenate([network(values) for values in evidence(matches)])
-    believed = np.concatenate([good.ravel() for good in LearnedSweep().believed(matches)])
+    taken = np.concatenate([good.ravel() for good in believed(matches)])
     trusted = np.concatenate([good.ravel() for good in matches.trusted])
     truth = [ground_truth(spec, 0, number).depth for number in range(3)]
     pairs = zip(matches.maps, truth, strict=True)
     right = np.concatenate([(np.abs(one.depth / true - 1) < 0.03).ravel() for one, true in pairs])
     surest = confidence >= np.sort(confidence)[-trusted.sum()]  # as many as pass the tests
-    assert right[believed].sum() > 1.1 * right[trusted].sum()
-    added = believed & ~trusted
+    assert right[taken].sum() > 1.1 * right[trusted].sum()
+    added = taken & ~trusted
     assert added.sum() > 0.1 * trusted.sum()  # in gaps: what has points already needs no more
     assert right[added].mean() >= right[trusted].mean() - 0.02
     assert right[surest].mean() >= right[trusted].mean()
@@ -220,11 +218,11 @@ def test_first_points_are_what_is_believed_and_others_after_them() -> None:
     spec = SyntheticSpec(kind="bright", cameras=3, frames=1, width=80, height=45, seed=5)
     dataset = open_synthetic(spec)
     frame, bounds = next(iter(dataset.frames())), dataset.depth_bounds
-    matches = PlaneSweep().matches(working_views(frame, dataset.cameras, spec.height), bounds)
-    believed, trusted = (np.stack(good).sum() for good in (LearnedSweep().believed(matches), matches.trusted))
-    assert believed > trusted
+    matches = swept(working_views(frame, dataset.cameras, spec.height), bounds)
+    taken, trusted = (np.stack(good).sum() for good in (believed(matches), matches.trusted))
+    assert taken > trusted
     learned = first_points(frame, dataset.cameras, depth_bounds=bounds, method="learned")
-    assert len(learned) == believed
+    assert len(learned) == taken
     usual = first_points(frame, dataset.cameras, depth_bounds=bounds)  # more points fill the gaps that remain
     assert len(usual) > len(learned)
     np.testing.assert_array_equal(usual.positions[: len(learned)], learned.positions)
