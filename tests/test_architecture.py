@@ -36,8 +36,8 @@ LAYERS = {
         "api", "edge", "service", "cli",
     ),
     "server.ingest": (
-        "sync board_sight", "sound", "cameras", "push finding", "statistics ahead watch",
-        "knocks poses walk", "rig", "live recording",
+        "sync board_sight", "sound", "cameras", "finding", "statistics ahead watch",
+        "knocks poses walk", "rig", "push", "live recording",
     ),
     "client": (
         "recording events viewpoints recorder rest_answers", "rest playback", "connection",

@@ -11,7 +11,7 @@ import re
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import av
@@ -67,6 +67,8 @@ class Rig:
         give_sound: takes the pieces of the definition's sound; None where nobody listens.
 
     Attributes:
+        fps: instants a second.
+        pushed: (width, height) of each camera that capture nodes push, by name.
         waiting: whether training waits; set by the consumer of `instants`.
     """
 
@@ -76,7 +78,7 @@ class Rig:
         chosen: Sequence[str],
         give_sound: Callable[[SoundPiece], None] | None = None,
     ) -> None:
-        self._fps, self._paced = definition.fps, definition.realtime
+        self.fps, self._paced = definition.fps, definition.realtime
         self._names = tuple(chosen)
         self._offsets_ns = definition.offsets_ns
         self._epoch_ns: int | None = None
@@ -97,7 +99,7 @@ class Rig:
             deadline_ns=None if self._paced else round((_LEAD + 2) * period_of(definition.fps)),
             lost_ns=1_000_000_000 if self._paced else _FOREVER_NS,
         )
-        self._pushed = {
+        self.pushed = {
             camera.name: (camera.width, camera.height)
             for camera, address in zip(definition.cameras, definition.addresses, strict=True)
             if camera.name in self._last and address.scheme == "push"
@@ -123,11 +125,11 @@ class Rig:
                 hearing=self._hearing if sound is not None and sound.camera == camera.name else None,
             )
             for camera, address in zip(definition.cameras, definition.addresses, strict=True)
-            if camera.name in self._last and camera.name not in self._pushed
+            if camera.name in self._last and camera.name not in self.pushed
         ]
         if self._hearing is not None and sound is not None and sound.address is not None:
             reader = SoundReader(
-                sound.address, self._fps, self._hearing, self._timeline, anchor_ns=anchor, paced=self._paced
+                sound.address, self.fps, self._hearing, self._timeline, anchor_ns=anchor, paced=self._paced
             )
             self._readers.append(reader)
 
@@ -219,21 +221,16 @@ class Rig:
         with self._change:
             self._stale += 1
 
-    @property
-    def fps(self) -> float:
-        """Instants a second."""
-        return self._fps
-
     def hears(self, camera: str) -> bool:
-        """See `intake.PushTarget`."""
+        """Whether the camera's sound is wanted."""
         return self._sound is not None and self._sound.camera == camera
 
     def sight(self, camera: str) -> BoardSight | None:
-        """See `intake.PushTarget`; a rig that trains looks for no board."""
+        """The camera's sight of the board, if one is looked for; a rig that trains looks for none."""
         return None
 
     def complaint(self, camera: str) -> str:
-        """See `intake.PushTarget`."""
+        """A sentence for who films, where the camera stands wrong or has a wrong name; else empty."""
         with self._change:
             if self._last[camera].knocked:
                 return "it was knocked: put it back as it stood, or calibrate again"
@@ -244,24 +241,19 @@ class Rig:
         return next((fault for fault, names in named.items() if not names or camera in names), "")
 
     def put_sound(self, frame: av.AudioFrame, capture_ns: int) -> None:
-        """See `intake.PushTarget`."""
+        """Take sound that is pushed, recorded from `capture_ns` on."""
         if self._hearing is not None:
             self._hearing.put(frame, capture_ns)
-
-    @property
-    def pushed(self) -> Mapping[str, tuple[int, int]]:
-        """(width, height) of each camera that capture nodes push."""
-        return self._pushed
 
     def genlock_epoch_ns(self, number: int) -> int:
         """When frame number 0 of a genlocked rig was taken; the first number asked about came just now."""
         with self._change:
             if self._epoch_ns is None:
-                self._epoch_ns = self._timeline.now_ns() - round(number * period_of(self._fps))
+                self._epoch_ns = self._timeline.now_ns() - round(number * period_of(self.fps))
             return self._epoch_ns
 
     def claim(self, camera: str, holder: object) -> None:
-        """See `intake.PushTarget`; if two nodes push one camera, the later one is used, as after a reconnection."""
+        """Make `holder` the one that pushes the camera, instead of whoever did before, as after a reconnection."""
         with self._change:
             self._last[camera].holder = holder
             self._last[camera].claims += 1
@@ -272,11 +264,11 @@ class Rig:
             return tuple(last.claims for last in self._last.values())
 
     def holds(self, camera: str, holder: object) -> bool:
-        """See `intake.PushTarget`."""
+        """Whether nobody has claimed the camera after `holder`."""
         return self._last[camera].holder is holder
 
     def is_held(self, camera: str) -> bool:
-        """See `intake.PushTarget`."""
+        """Whether somebody pushes the camera."""
         return self._last[camera].holder is not None
 
     def note_decoded(self, camera: str, fault: str = "") -> None:
@@ -355,7 +347,7 @@ class Rig:
         with self._change:
             if not self._paced:
                 self._change.notify_all()
-                lead = _LEAD * period_of(self._fps)
+                lead = _LEAD * period_of(self.fps)
                 self._change.wait_for(lambda: self._stopped or self._is_over() or capture_ns <= self._virtual_ns + lead)
 
     def _queue(self, instants: list[Instant]) -> None:
@@ -375,7 +367,7 @@ class Rig:
         if len(known) < len(newest) or len(self._instants) > _LEAD:
             return False
         heard = capture_ns if self._hearing is None else self._hearing.reached_ns
-        return capture_ns - min(*known, heard, capture_ns) <= _LEAD * period_of(self._fps)
+        return capture_ns - min(*known, heard, capture_ns) <= _LEAD * period_of(self.fps)
 
     def _is_over(self) -> bool:
         """Whether no instant can come any more: all files have ended, or too many of them without one picture."""

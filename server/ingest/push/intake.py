@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any, Protocol
+from typing import Any
 
 import av
 import numpy as np
@@ -13,72 +12,23 @@ from streamlod.core.arrays import UInt8
 from streamlod.core.data.announced import AnnouncedPicture, announced_picture
 from streamlod.core.data.pictures import decode
 from streamlod.core.errors import InputError
-from streamlod.server.ingest.board_sight import BoardSight
 from streamlod.server.ingest.cameras.reader import max_pixels
 from streamlod.server.ingest.push.message import SOUND_CODECS, Codec, PushMessage
 from streamlod.server.ingest.push.sound import PushedSound
+from streamlod.server.ingest.rig import Rig
 from streamlod.server.ingest.sync.clock import CaptureClock, CaptureTime, ClockSource, Sighting
 from streamlod.server.ingest.sync.picture import Picture, one_at_a_time
-
-
-class PushTarget(Protocol):
-    """The rig that pushed pictures go to."""
-
-    @property
-    def fps(self) -> float:
-        """Instants a second."""
-
-    @property
-    def now_ns(self) -> int:
-        """The present, on the rig's timeline."""
-
-    @property
-    def pushed(self) -> Mapping[str, tuple[int, int]]:
-        """(width, height) of each camera that is pushed."""
-
-    def genlock_epoch_ns(self, number: int) -> int:
-        """When frame number 0 was taken, given that `number` came just now, if it is the rig's first."""
-
-    def claim(self, camera: str, holder: object) -> None:
-        """Make `holder` the one that pushes the camera, instead of whoever did before."""
-
-    def holds(self, camera: str, holder: object) -> bool:
-        """Whether nobody has claimed the camera after `holder`."""
-
-    def is_held(self, camera: str) -> bool:
-        """Whether somebody pushes the camera."""
-
-    def put(self, picture: Picture) -> None:
-        """A picture has come."""
-
-    def hears(self, camera: str) -> bool:
-        """Whether the camera's sound is wanted."""
-
-    def sight(self, camera: str) -> BoardSight | None:
-        """The camera's sight of the board, if one is looked for."""
-
-    def complaint(self, camera: str) -> str:
-        """A sentence for who films, where the camera stands wrong or has a wrong name; else empty."""
-
-    def put_sound(self, frame: av.AudioFrame, capture_ns: int) -> None:
-        """Sound of that camera has come, recorded from `capture_ns` on."""
-
-    def note_decoded(self, camera: str, fault: str = "") -> None:
-        """A picture of a camera was decoded, or could not be, for the reason `fault`."""
-
-    def gone(self, camera: str, reason: str, *, ended: bool) -> None:
-        """A camera delivers nothing for now."""
 
 
 class Intake:
     """Turns one capture node's messages into a rig's pictures.
 
     Args:
-        target: the rig.
+        rig: that takes them.
     """
 
-    def __init__(self, target: PushTarget) -> None:
-        self._target = target
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
         self._newest: dict[str, int] = {}
         self._clocks: dict[str, CaptureClock] = {}
         self._decoders: dict[str, av.VideoCodecContext] = {}
@@ -92,7 +42,7 @@ class Intake:
             InputError: no such camera is pushed, another node has taken it over, or the picture is not one, or of
                 another size than calibrated.
         """
-        size = self._target.pushed.get(message.camera)
+        size = self._rig.pushed.get(message.camera)
         if size is None:
             raise InputError(f"camera {message.camera!r:.80}", "is not one of the rig's that are pushed")
         if message.codec in SOUND_CODECS:
@@ -101,17 +51,17 @@ class Intake:
         try:
             self._accept(message, size)
         except InputError as error:
-            if message.camera not in self._newest or self._target.holds(message.camera, self):
+            if message.camera not in self._newest or self._rig.holds(message.camera, self):
                 self._refused.add(message.camera)
-                self._target.note_decoded(message.camera, error.fault)
+                self._rig.note_decoded(message.camera, error.fault)
             raise
 
     def _accept(self, message: PushMessage, size: tuple[int, int]) -> None:
         still = None if message.codec is Codec.H264 else _announced(message, size)
         if message.camera not in self._newest:
-            self._target.claim(message.camera, self)
+            self._rig.claim(message.camera, self)
             self._newest[message.camera] = -1
-        if not self._target.holds(message.camera, self):
+        if not self._rig.holds(message.camera, self):
             raise InputError(f"camera {message.camera}", "is sent by another phone or capture node now")
         if message.sequence <= self._newest[message.camera]:
             return
@@ -126,41 +76,41 @@ class Intake:
     def _hear(self, message: PushMessage) -> None:
         """Sound counts only beside pictures, so that it is of who holds the camera."""
         camera = message.camera
-        if not self._target.hears(camera):
+        if not self._rig.hears(camera):
             raise InputError(f"camera {camera}", "is not the one whose sound the rig wants")
-        if not self._target.holds(camera, self):
+        if not self._rig.holds(camera, self):
             return
         sound = self._sounds.setdefault(camera, PushedSound(camera))
-        for frame, capture_ns in sound.decoded(message, self._target.now_ns):
-            self._target.put_sound(frame, capture_ns)
+        for frame, capture_ns in sound.decoded(message, self._rig.now_ns):
+            self._rig.put_sound(frame, capture_ns)
 
     def wanted(self) -> dict[str, Any]:
         """The rig's rate as `fps`, and `cameras` that are pushed: name, width, height, whether one is `taken`,
         whether its `sound` is wanted, a `complaint` of its place or name if there is one, and while a board's walk is
         recorded what it sees of the `board`."""
-        target = self._target
+        rig = self._rig
         cameras = [
-            {"name": name, "width": width, "height": height, "taken": target.is_held(name), "sound": target.hears(name)}
-            | ({"complaint": said} if (said := target.complaint(name)) else {})
-            | ({} if (sight := target.sight(name)) is None else {"board": asdict(sight)})
-            for name, (width, height) in target.pushed.items()
+            {"name": name, "width": width, "height": height, "taken": rig.is_held(name), "sound": rig.hears(name)}
+            | ({"complaint": said} if (said := rig.complaint(name)) else {})
+            | ({} if (sight := rig.sight(name)) is None else {"board": asdict(sight)})
+            for name, (width, height) in rig.pushed.items()
         ]
-        return {"fps": target.fps, "cameras": cameras}
+        return {"fps": rig.fps, "cameras": cameras}
 
     def close(self) -> None:
         """The capture node has gone, and what was refused of it is no fault of who comes next under its names."""
-        held = [name for name in self._newest if self._target.holds(name, self)]
-        for camera in {*held, *(name for name in self._refused if not self._target.is_held(name))}:
-            self._target.note_decoded(camera)
+        held = [name for name in self._newest if self._rig.holds(name, self)]
+        for camera in {*held, *(name for name in self._refused if not self._rig.is_held(name))}:
+            self._rig.note_decoded(camera)
         for camera in held:
-            self._target.gone(camera, "its phone or capture node has disconnected", ended=False)
+            self._rig.gone(camera, "its phone or capture node has disconnected", ended=False)
 
     def _time(self, message: PushMessage) -> CaptureTime | None:
-        arrival = self._target.now_ns
+        arrival = self._rig.now_ns
         clock = self._clocks.get(message.camera)
         if clock is None:
-            epoch = 0 if message.capture_ns is not None else self._target.genlock_epoch_ns(message.sequence)
-            clock = self._clocks[message.camera] = CaptureClock(self._target.fps, epoch)
+            epoch = 0 if message.capture_ns is not None else self._rig.genlock_epoch_ns(message.sequence)
+            clock = self._clocks[message.camera] = CaptureClock(self._rig.fps, epoch)
         number = message.sequence if message.capture_ns is None else None
         return clock.capture(Sighting(arrival, stated_ns=message.capture_ns, frame_number=number))
 
@@ -188,7 +138,7 @@ class Intake:
 
     def _put(self, message: PushMessage, size: tuple[int, int], capture: int, found: CaptureTime, load: Any) -> None:
         source: ClockSource = found.source
-        self._target.put(Picture(message.camera, capture, source, found.error_ns, message.sequence, size, load))
+        self._rig.put(Picture(message.camera, capture, source, found.error_ns, message.sequence, size, load))
 
 
 def _announced(message: PushMessage, size: tuple[int, int]) -> AnnouncedPicture:
