@@ -59,7 +59,8 @@ def view(
     a camera path of the page, once unless `frames` says otherwise.
 
     A token is taken from the environment variable STREAMLOD_TOKEN. At another rate than the stream's (`fps`), pictures
-    between its frames are interpolated. What the server has kept is shown first where it begins `from_start`.
+    between its frames are interpolated. What the server has kept is shown first where it begins `from_start`. Ctrl-C
+    ends it.
     """
     if sum((camera is not None, orbiting, pose is not None, path is not None)) > 1:
         raise InputError("view", "--camera, --orbit, --pose and --path exclude each other")
@@ -84,16 +85,22 @@ def view(
         raise InputError(pose, "does not exist")
     start = _OLDEST if from_start else None
     options = WatchOptions(token=os.environ.get(TOKEN_VARIABLE), start=start, levels=levels, nearest=True)
+    count = 0
     with progress_bar(total=frames, unit="picture", desc="view", delay=_BAR_DELAY_SECONDS) as bar:
 
         def tell(text: str) -> None:
+            nonlocal count
             is_picture = text.startswith("picture")
             # the bar itself is drawn again only as it grows, and not at all before a refusal that comes at once
             bar.set_postfix_str(text, refresh=not is_picture and bar.format_dict["elapsed"] > _BAR_DELAY_SECONDS)
             bar.update(1 if is_picture else 0)
+            count += is_picture
 
         try:
-            count = asyncio.run(record_stream(url, out, viewpoint, frames, options, tell, fps))
+            asyncio.run(record_stream(url, out, viewpoint, frames, options, tell, fps))
+        except KeyboardInterrupt:
+            if count == 0:
+                raise
         except SessionError as error:
             if error.close_code != _NO_STREAM:
                 raise

@@ -47,7 +47,8 @@ async def record_stream(
     Begun in the past (`options.start`), it is over, too, when all of that is here, the stream lacks cameras or is idle,
     and half a minute brings nothing new.
 
-    If the viewpoint moves, it finishes its path around the last scene when the stream is over.
+    If the viewpoint moves, it finishes its path around the last scene when the stream is over. Where this is cancelled,
+    as by Ctrl-C, what was recorded until then is kept, with its sound.
 
     Args:
         viewpoint: makes the path of the camera once the scene's header is known.
@@ -65,7 +66,7 @@ async def record_stream(
     options = options or WatchOptions()
     take = Take(out, viewpoint, frames, fps, tell)
     reception = _Reception(take, options, tell)
-    cut: FilmCutShort | None = None
+    cut: BaseException | None = None
     try:
         async with aclosing(watch(url, options)) as events:
             while not take.is_full:
@@ -82,11 +83,12 @@ async def record_stream(
         while take.newest is not None and frames is not None and not take.is_full and take.moves():
             await take.draw(take.newest)
     except BaseException as error:
-        if take.count == 0 or not isinstance(error, InputError | SessionError):
+        is_stopped = isinstance(error, KeyboardInterrupt | asyncio.CancelledError)  # the usual end of live ones
+        if take.count == 0 or not (is_stopped or isinstance(error, InputError | SessionError)):
             take.close(error)
             raise
-        cut = FilmCutShort(out, str(error), take.count)
-        cut.__cause__ = error
+        cut = error if is_stopped else FilmCutShort(out, str(error), take.count)
+        cut.__cause__ = None if is_stopped else error
     take.close(None)
     if take.count == 0:
         raise InputError(url, "the stream ended before it had a picture")

@@ -100,8 +100,7 @@ class Take:
     def close(self, error: BaseException | None) -> None:
         """Complete the recording, or discard it after an error."""
         if self._opened is not None:
-            fault = None if isinstance(error, KeyboardInterrupt | asyncio.CancelledError) else error
-            self._opened.recorder.__exit__(None if fault is None else type(fault), fault, None)
+            self._opened.recorder.__exit__(None if error is None else type(error), error, None)
 
     def _open(self, header: SceneHeader) -> _Opened:
         path = self._viewpoint(header)

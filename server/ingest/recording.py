@@ -88,7 +88,7 @@ def first_whole(rig: WatchedRig, seconds: float, waiting: Callable[[Mapping[str,
 
     Args:
         seconds: to wait at most.
-        waiting: told every few seconds which cameras do not deliver, and why, where that is known.
+        waiting: told which cameras do not deliver, and why, where that is known, whenever these are others.
 
     Raises:
         InputError: a camera did not come in time.
@@ -110,18 +110,25 @@ def first_whole(rig: WatchedRig, seconds: float, waiting: Callable[[Mapping[str,
 
 @contextmanager
 def _telling(rig: WatchedRig, tell: Callable[[Mapping[str, str]], None]) -> Iterator[None]:
-    """Call `tell` every few seconds, with the cameras that do not deliver as they should, and why."""
+    """Call `tell` with the cameras that do not deliver as they should, and why: a few seconds after this is another.
+
+    What is said again and again would push a phone's QR code out of the terminal.
+    """
     over = threading.Event()
 
     def watch() -> None:
         before = dict(rig.paces)
+        told: Mapping[str, str] | None = None
         while not over.wait(_TELL_SECONDS):
             now = dict(rig.paces)
             rates = {name: pace.since(before[name], _JUDGED * _TELL_SECONDS) for name, pace in now.items()}
             slow = {name: rate for name, rate in rates.items() if rate is not None and rate < _SLOWEST * rig.fps}
             why_slow = _SLOW.format(min(slow.values(), default=0.0), rig.fps)  # one reason, so that it is told once
             before = now
-            tell(dict.fromkeys(slow, why_slow) | _missing(rig))
+            trouble = dict.fromkeys(slow, why_slow) | _missing(rig)
+            if trouble != told:
+                tell(trouble)
+            told = trouble
 
     telling = threading.Thread(target=watch, daemon=True, name="telling")
     telling.start()

@@ -1,7 +1,7 @@
 /** The page on which a phone or laptop films as one camera of a live stream (docs/filming.md). */
 
 import { PushLink } from "../stream/push.js";
-import { devices, openCamera } from "../view/device.js";
+import { devices, isSlow, openCamera } from "../view/device.js";
 import { Filming } from "../view/filming.js";
 import { Microphone } from "../view/microphone.js";
 import { button, element, keepInAddress } from "./page.js";
@@ -12,7 +12,6 @@ const MAX_COMPLAINT = 300; // letters of the same about its place or name
 const FIGURES_MS = 1000;
 const STALLED_MS = 3000;
 const RACE_MS = 10_000; // since filming began, within which a lost name was one that two phones were offered at once
-const SLOW = 0.9; // of the rig's rate, below which it is worth a word
 const FULL_SIZE = { width: 1280, height: 720 }; // before the server has said which it wants
 const options = new URLSearchParams(location.search);
 const stream = options.get("stream") ?? "main";
@@ -176,7 +175,7 @@ function notes() {
   const { held, awake } = filming, found = [];
   if (hold.ariaPressed === "true" && held?.free.length) found.push(`This browser does not hold: ${held.free.join(", ")}.`);
   if (!awake) found.push("Keep the screen on: this browser does not do it.");
-  if (rates.filmed && rates.filmed < SLOW * link.fps) found.push(`The camera gives ${rates.filmed.toFixed(0)} pictures a second; the stream wants ${link.fps}.`);
+  if (isSlow(rates.filmed, link.fps)) found.push(`The camera gives ${rates.filmed.toFixed(0)} pictures a second; the stream wants ${link.fps}.`);
   if (silence) found.push(silence);
   if (rates.dropped) found.push("The line or this device is too slow: pictures are left out.");
   return found;

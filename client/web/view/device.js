@@ -7,6 +7,8 @@ const HOLDABLE = [
   { name: "white balance", mode: "whiteBalanceMode", values: ["colorTemperature"] },
 ];
 
+const SLOW = 0.9; // of the rate that is wanted, below which it is worth a word
+
 /** @typedef {{ id: string, label: string }} Device */
 /** @typedef {{ held: string[], free: string[] }} Held - by name: what stays as it is, and what the browser may change */
 
@@ -84,3 +86,6 @@ export function part(from, to) {
   const width = to.width * scale, height = to.height * scale;
   return { x: (from.width - width) / 2, y: (from.height - height) / 2, width, height };
 }
+
+/** Whether a camera that gave `rate` pictures a second, counted for about one, gives fewer than are wanted. A count may miss one by when it began. @param {number} rate @param {number} wanted */
+export const isSlow = (rate, wanted) => rate > 0 && rate + 1 < SLOW * wanted;

@@ -53,7 +53,10 @@ def view(
         bool, typer.Option("--from-start", help="Begin with the oldest that the server has kept, not live.")
     ] = False,
 ) -> None:
-    """Watch a live stream from Python and record what a viewpoint sees. A token comes from STREAMLOD_TOKEN."""
+    """Watch a live stream from Python and record what a viewpoint sees, until Ctrl-C.
+
+    A token comes from STREAMLOD_TOKEN.
+    """
     from streamlod.client.commands import view as watch
 
     typer.echo(watch(url, out, camera, orbit, pose, frames, levels, fps, path, from_start))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import signal
 import ssl
+import subprocess
 import sys
 import threading
 from dataclasses import replace
@@ -31,11 +33,16 @@ from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import expand
 from streamlod.core.scene.interpolate import interpolate
 from streamlod.core.scene.residual import difference
+from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.service.self_signed import write_self_signed
+from streamlod.server.settings import Settings
 from tests.client.clips import packets
 from tests.client.test_playback import WELCOME
 from tests.client.web.scenes import make_scene, moved
+from tests.server.conftest import make_clip, running
+from tests.server.sounds import hear, pieces
 from tests.small_disk import mounted_disk
+from tests.waiting import wait
 
 FPS = 10.0
 
@@ -135,6 +142,28 @@ def test_what_a_server_has_kept_ends_where_no_camera_films(
 
     assert asyncio.run(run()) == (4 if start is None else 3)
     assert (is_gone in caplog.text) == (start is not None)
+
+
+def test_a_live_film_ends_by_ctrl_c_with_its_sound(tmp_path: Path) -> None:
+    """A stream that goes on tells no end."""
+    film, clip = tmp_path / "evening.mp4", make_clip(tmp_path / "clip.slod", 400, frame_ns=100_000_000)
+    with running(Settings(), StreamSpec(play=clip.path, loop=False)) as server:
+        hear(server, pieces(42.0))
+        command = [sys.executable, "-m", "streamlod.server.cli", "view", server.url, "--out", str(film)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            try:
+                wait(lambda: any(part.stat().st_size > 0 for part in tmp_path.glob("*evening*")))  # a picture is in it
+                begun = server.stream()["version"]
+                server.wait(lambda stream: stream["version"] >= begun + 25)
+                process.send_signal(signal.SIGINT)
+                told, _ = process.communicate(timeout=60)
+            finally:
+                process.kill()
+    assert process.returncode == 0
+    with av.open(str(film)) as found:
+        assert told == f"{len(list(found.decode(video=0)))} pictures in {film}\n"
+        found.seek(0)
+        assert max(np.abs(sound.to_ndarray()).max() for sound in found.decode(audio=0)) > 0.1
 
 
 def test_who_may_not_watch_any_more_keeps_the_film(tmp_path: Path) -> None:

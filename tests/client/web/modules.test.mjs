@@ -17,7 +17,7 @@ import { heard } from "../../../client/web/stream/heard.js";
 import { phaseOf } from "../../../client/web/stream/phase.js";
 import { pack } from "../../../client/web/stream/push.js";
 import { Session } from "../../../client/web/stream/session.js";
-import { part } from "../../../client/web/view/device.js";
+import { isSlow, part } from "../../../client/web/view/device.js";
 import { DepthSort } from "../../../client/web/view/sort.js";
 import { clock, duration, words } from "../../../client/web/ui/states.js";
 import { foremost } from "../../../client/web/ui/streams.js";
@@ -749,6 +749,11 @@ test("of a picture of another shape the middle is sent, of one that lies on its 
   assert.deepEqual(part(size(720, 1280), size(360, 640)), { x: 0, y: 0, width: 720, height: 1280 });
   assert.equal(part(size(720, 1280), size(1280, 720)), null);
   assert.equal(part(size(0, 0), size(1280, 720)), null);
+});
+
+test("a camera is slow where a second's count is short by more than one picture", () => {
+  for (const [rate, wanted] of [[7, 8], [8.9, 8], [4.4, 5], [28.4, 30], [0, 8], [0.4, 1]]) assert.ok(!isSlow(rate, wanted), `${rate}`);
+  for (const [rate, wanted] of [[5, 8], [3, 5], [24, 30]]) assert.ok(isSlow(rate, wanted), `${rate}`);
 });
 
 test("who names no stream sees the live cameras, else what is live, else the first", () => {

@@ -26,6 +26,7 @@ from streamlod.core.calibration.walk import open_walk
 from streamlod.core.data.video.file import probe_video
 from streamlod.core.errors import InputError
 from streamlod.server.auth.gate import hash_token
+from streamlod.server.cli import rig as rig_command
 from streamlod.server.cli.check import check
 from streamlod.server.cli.rig import find, trouble_of, watch
 from streamlod.server.ingest import recording
@@ -315,6 +316,16 @@ def test_a_camera_slower_than_the_rig_is_named_while_it_is_recorded(
     assert said[-3] == "the board: no camera has seen it, which is to have 7x5 squares of 55 mm", said
     slow = r"trouble with cam0 \([345] a second, but the rig wants "
     assert any(re.match(slow, line) for line in said), said
+
+
+def test_what_is_waited_for_is_said_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else it would push the QR code out of the terminal before somebody has put up four phones."""
+    monkeypatch.setattr(recording, "_TELL_SECONDS", 0.1)
+    monkeypatch.setattr(rig_command, "_WAIT_SECONDS", 2.0)
+    rig, said = write_definition(tmp_path, ["push:"] * 2), list[str]()
+    with pytest.raises(InputError, match="cam0: sent no picture within 2 s"):
+        watch(rig, None, 3.0, Settings(port=0), said.append, overwrite=False)
+    assert [line for line in said if line.startswith("waiting")] == ["waiting for cam0 and cam1 (no pictures come)"]
 
 
 @pytest.mark.long
