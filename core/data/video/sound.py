@@ -23,6 +23,7 @@ _RATES = 8_000, 384_000  # samples a second of sound that is taken
 _MAX_CHANNELS = 64
 _SILENCE = 8  # of 32768
 _LISTENING = 8000  # samples a second with which silence is looked for
+_SOUGHT, _WARM_S = {"ogg"}, 1  # containers whose sound is found by time, and seconds before it that decoders need
 _TOLERANCE_S = Fraction(1, 50)  # by which a file's times may waver without a gap being meant
 
 
@@ -66,6 +67,8 @@ def filmed_sound(path: Path, rate: int, begin_ns: int, count: int) -> Iterator[I
         assert stream is not None
         timed = ((None if time is None else time - origin, frame) for time, frame in timed_sound(container, stream))
         try:
+            if container.format.name in _SOUGHT and origin > _WARM_S:  # else all before is decoded, too
+                container.seek(int((origin - _WARM_S) * av.time_base))
             for begin, block in (each for time, frame in timed for each in placer.put(frame, time)):
                 skipped = max(done - begin, 0)
                 if skipped >= len(block):

@@ -6,11 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from streamlod.codec.sound.opus import write_sound
 from streamlod.core.data.sources import videos
 from streamlod.core.data.video.sound import filmed_sound, sound_channels
 from streamlod.core.errors import InputError
-from tests.clicks import onsets, write_sounding
+from tests.clicks import clicks, onsets, write_sounding
 from tests.core.data.writers import picture, write_video
+from tests.work import lines
 
 RATE = 48_000
 SECOND_NS = 1_000_000_000
@@ -49,6 +51,13 @@ def test_sound_that_starts_late_stops_early_or_has_a_gap_is_silent_there(tmp_pat
     assert heard(tmp_path / "late.mp4", seconds=2.5) == pytest.approx([2.0], abs=2e-3)
     write_sounding(tmp_path / "gap.mkv", 4.0, "flac", without=(1.5, 2.5))
     assert heard(tmp_path / "gap.mkv", seconds=6.0) == pytest.approx([0.0, 1.0, 3.0], abs=2e-3)
+
+
+def test_what_lies_before_the_wanted_sound_of_a_stream_is_not_decoded(tmp_path: Path) -> None:
+    """Of a film on a slow machine each picture asks for its own piece, late in a file of the whole evening."""
+    write_sound(tmp_path / "evening.opus", [clicks(90.0)], 1, 0)
+    with lines(100_000):
+        assert heard(tmp_path / "evening.opus", 85_500_000_000, 1.0) == pytest.approx([0.5], abs=2e-3)
 
 
 def test_a_damaged_end_is_silent_and_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
