@@ -149,6 +149,10 @@ export class Session {
         if (status.together) Object.assign(status.together, { mayPresent: message.may_present ?? status.together.mayPresent, by: message.by ?? null, view: message.view ?? null, at: message.at ?? null });
         break;
       case "state":
+        if (this.streamState === "starting") {
+          this.lastPacket = now; // no frame was due while the first one was trained
+          this.isQuiet = false;
+        }
         this.#streamState(message.state, message.detail);
         break;
       case "progress":

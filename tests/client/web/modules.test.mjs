@@ -480,6 +480,22 @@ test("session: a stream of which there is one frame is not overdue at once", () 
   assert.equal(session.status.phase, "stalled");
 });
 
+test("session: a first frame that took minutes is not overdue when it is whole", () => {
+  const session = new Session(0);
+  session.opened(0);
+  session.control(welcome({ state: "starting" }));
+  session.arrived(1, 100);
+  session.applied(1, 1, 100, 0);
+  session.tick(300_000);
+  assert.equal(session.status.phase, "preview");
+  session.control(event("state", { state: "live", detail: "" }), 300_500);
+  assert.equal(session.status.phase, "live");
+  session.tick(301_000);
+  assert.equal(session.status.phase, "live");
+  session.tick(320_000);
+  assert.equal(session.status.phase, "stalled");
+});
+
 test("session: recorded frames that lie far apart are not overdue before their time", () => {
   const session = new Session(0);
   session.opened(0);
