@@ -14,7 +14,6 @@ import numpy as np
 
 from streamlod.client.connection.address import live_address
 from streamlod.client.connection.link import WatchOptions
-from streamlod.client.inspection import describe_file
 from streamlod.client.recording import decode_frames, decode_version, versions
 from streamlod.client.viewing.record import record_stream
 from streamlod.client.viewpoints import CameraPath, along, camera_named, orbit, read_path, read_poses
@@ -36,11 +35,6 @@ _OLDEST = 1, 0  # the position before all others: the server begins with the old
 _BAR_DELAY_SECONDS = 0.5  # that a bar waits: what is refused at once is told without
 _NO_STREAM = 4404  # close code of docs/protocol.md
 AVERAGE = "average"
-
-
-def info(scene: Path) -> str:
-    """The report of `streamlod info`: what is inside a `.slod` file."""
-    return describe_file(scene)
 
 
 def view(

@@ -97,7 +97,7 @@ class Playback:
         if scene is None:
             return []
         self.position = (self._epoch, scene.version)
-        return [NewScene(scene, self._current_levels(scene.version), info)]
+        return [NewScene(scene, self._decoder.current_levels, info)]
 
     def acknowledgement(self, now: float) -> str | None:
         """The ack message if one is due."""
@@ -130,11 +130,6 @@ class Playback:
             str(message.get("incarnation", "")),
             isinstance(message.get("sound"), dict),
         )
-
-    def _current_levels(self, version: int) -> int:
-        """Number of levels at `version`, counted from the coarsest up to the first one that is older or absent."""
-        lagging = (number for number, held in enumerate(self._decoder.versions) if held != version)
-        return next(lagging, len(self._decoder.versions))
 
 
 def edges_in(value: object) -> tuple[str, ...]:

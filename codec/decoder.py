@@ -25,22 +25,23 @@ _HASH = struct.Struct("<I")
 
 
 class SceneDecoder:
-    """Decodes the packets of one stream into its state. FORMAT.md section 3 says what each packet does."""
+    """Decodes the packets of one stream into its state. FORMAT.md section 3 says what each packet does.
+
+    Attributes:
+        scene: the state; its version is the greatest level version. None before the first keyframe.
+        versions: of each level, coarse to fine; -1 for a level that has not arrived.
+    """
 
     def __init__(self, limits: DecoderLimits = DEFAULT_LIMITS) -> None:
         self._limits = limits
-        self._scene: Scene | None = None
-        self._versions: tuple[int, ...] = ()
+        self.scene: Scene | None = None
+        self.versions: tuple[int, ...] = ()
 
     @property
-    def scene(self) -> Scene | None:
-        """The state; its version is the greatest level version. None before the first keyframe."""
-        return self._scene
-
-    @property
-    def versions(self) -> tuple[int, ...]:
-        """Version of each level, coarse to fine; -1 for a level that has not arrived."""
-        return self._versions
+    def current_levels(self) -> int:
+        """Number of levels at the newest version, from the coarsest up to the first one that is older or absent."""
+        lagging = (number for number, held in enumerate(self.versions) if held != max(self.versions))
+        return next(lagging, len(self.versions))
 
     def push(self, packet: bytes) -> PacketInfo:
         """Decode one packet.
@@ -50,9 +51,9 @@ class SceneDecoder:
         """
         parsed = parse(packet, self._limits)
         if parsed.kind is PacketKind.KEY:
-            self._scene, self._versions = self._decode_key(parsed)
+            self.scene, self.versions = self._decode_key(parsed)
         else:
-            self._scene, self._versions = self._decode_residual(parsed)
+            self.scene, self.versions = self._decode_residual(parsed)
         return describe(parsed)
 
     def _decode_key(self, packet: Packet) -> tuple[Scene, tuple[int, ...]]:
@@ -70,7 +71,7 @@ class SceneDecoder:
         header_data, weights_data = packet.chunk(0, ChunkKind.HEADER), packet.chunk(0, ChunkKind.WEIGHTS)
         if header_data is None or weights_data is None:
             scene = self._held(packet)
-            return scene, self._versions
+            return scene, self.versions
         header = decode_header(header_data, self._limits)
         weights = decode_weights(weights_data, header)
         count = header.octree.levels
@@ -87,27 +88,27 @@ class SceneDecoder:
         return Room(rows, packet.level_bytes(number))
 
     def _held(self, packet: Packet) -> Scene:
-        if self._scene is None:
+        if self.scene is None:
             raise BitstreamError("no_keyframe", "a packet came before any keyframe; wait for one")
-        held = self._scene
+        held = self.scene
         if (packet.keyframe, packet.identifier) != (held.keyframe, held.identifier):
             wanted = f"{packet.keyframe} ({packet.identifier:016x})"
             raise BitstreamError(
                 "unknown_keyframe",
                 f"the packet needs keyframe {wanted}, held is {held.keyframe} ({held.identifier:016x})",
             )
-        _check_levels(packet, len(self._scene.levels))
-        return self._scene
+        _check_levels(packet, len(self.scene.levels))
+        return self.scene
 
     def _decode_residual(self, packet: Packet) -> tuple[Scene, tuple[int, ...]]:
         scene = self._held(packet)
-        matching = [number for number in packet.levels if self._versions[number] == packet.from_version]
+        matching = [number for number in packet.levels if self.versions[number] == packet.from_version]
         if not matching:
             raise BitstreamError(
                 "version_mismatch",
-                f"the packet starts at version {packet.from_version}, the levels are at {list(self._versions)}",
+                f"the packet starts at version {packet.from_version}, the levels are at {list(self.versions)}",
             )
-        levels, versions = list(scene.levels), list(self._versions)
+        levels, versions = list(scene.levels), list(self.versions)
         for number in matching:
             levels[number] = _decode_residual_level(packet, number, scene, self._room(packet, number, levels))
             versions[number] = packet.to_version

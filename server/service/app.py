@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
@@ -102,7 +103,7 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
         generate_unique_id_function=operation_id,
     )  # fmt: skip
     app.state.registry, app.state.posters, app.state.origin = registry, poster.Posters(), origin
-    app.state.playlists = hls.Playlists()
+    app.state.segment_numbers = WeakKeyDictionary()  # of each stream, as its playlists have named them
     app.openapi = lambda: describe(app, needs_tokens=settings.has_tokens)  # type: ignore[method-assign]
     _add_errors(app)
     app.include_router(live.router)

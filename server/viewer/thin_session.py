@@ -49,10 +49,7 @@ class _DecodingTransport:
 
     async def binary(self, message: BinaryMessage, interval_seconds: float | None = None) -> None:
         await asyncio.to_thread(self._decoder.push, message.data)
-        scene, versions = self._decoder.scene, self._decoder.versions
-        assert scene is not None
-        lagging = (number for number, held in enumerate(versions) if held != scene.version)
-        self.scene, self.levels = scene, next(lagging, len(versions))
+        self.scene, self.levels = self._decoder.scene, self._decoder.current_levels
         self._changed.set()
 
     async def text(self, message: str) -> None:

@@ -44,17 +44,6 @@ router = APIRouter(prefix="/v1/streams/{stream_id}" + HLS, tags=["downloads"], d
 _Number = Annotated[int, Path(ge=0, le=2**32 - 1, description="of the group of pictures in the file", examples=[0])]
 
 
-class Playlists:
-    """Numbers that earlier playlists have named."""
-
-    def __init__(self) -> None:
-        self._numbers: WeakKeyDictionary[Stream, SegmentNumbers] = WeakKeyDictionary()
-
-    def numbers(self, stream: Stream) -> SegmentNumbers:
-        """Segment numbers of a stream."""
-        return self._numbers.setdefault(stream, SegmentNumbers())
-
-
 @router.get("/" + INDEX, summary="HLS playlist", response_class=Response, responses=ANSWERS)
 async def index(stream: StreamOf, request: Request) -> Response:
     """All that is retained, a segment for each group of pictures, and parts of about a second of the newest. Of a
@@ -64,8 +53,8 @@ async def index(stream: StreamOf, request: Request) -> Response:
         segments = (PlaylistPart(f"recording/{n}.m4s", group.seconds) for n, group in enumerate(groups))
         playlist = Playlist(BEGINNING, tuple(segments), is_complete=True)
     else:
-        numbers = request.app.state.playlists.numbers(stream)
-        playlist = await _retained(stream, numbers)
+        named: WeakKeyDictionary[Stream, SegmentNumbers] = request.app.state.segment_numbers
+        playlist = await _retained(stream, named.setdefault(stream, SegmentNumbers()))
     query = request.url.query if "signature" in request.query_params else ""
     data = with_query(playlist_text(playlist), query).encode()
     caching = FRESH if stream.played_file is not None else _BRIEF

@@ -15,9 +15,9 @@ from streamlod.server.cli.options import SlodFile, one_of
 @app.command()
 def info(scene: SlodFile) -> None:
     """Say what is inside a file, with sizes by level and kind of chunk."""
-    from streamlod.client.commands import info as describe
+    from streamlod.client.inspection import describe_file
 
-    typer.echo(describe(scene))
+    typer.echo(describe_file(scene))
 
 
 @app.command()
