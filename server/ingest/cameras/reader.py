@@ -71,7 +71,7 @@ class Reader(SourceThread):
         self.camera = camera
         self.clock: CaptureClock | None = None
         self._size, self._fps, self._sink, self._timeline = size, fps, sink, timeline
-        self._anchor_ns, self._paced, self._sequence = anchor_ns, paced, 0
+        self._anchor_ns, self._paced = anchor_ns, paced
         self._hearing = hearing
 
     def _gone(self, reason: str, *, ended: bool) -> None:
@@ -150,11 +150,8 @@ class Reader(SourceThread):
 
     def _deliver(self, frame: av.VideoFrame, found: CaptureTime) -> None:
         self._check_size(*upright_size(frame))
-
-        self._sequence += 1
         load = one_at_a_time(partial(upright, frame))
-        picture = Picture(self.camera, found.capture_ns, found.source, found.error_ns, self._sequence, self._size, load)
-        self._sink.put(picture)
+        self._sink.put(Picture(self.camera, found.capture_ns, found.source, found.error_ns, load))
 
 
 def max_pixels(size: tuple[int, int]) -> int:

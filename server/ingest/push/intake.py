@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
@@ -16,7 +17,7 @@ from streamlod.server.ingest.cameras.reader import max_pixels
 from streamlod.server.ingest.push.message import SOUND_CODECS, Codec, PushMessage
 from streamlod.server.ingest.push.sound import PushedSound
 from streamlod.server.ingest.rig import Rig
-from streamlod.server.ingest.sync.clock import CaptureClock, CaptureTime, ClockSource, Sighting
+from streamlod.server.ingest.sync.clock import CaptureClock, CaptureTime, Sighting
 from streamlod.server.ingest.sync.picture import Picture, one_at_a_time
 
 
@@ -70,7 +71,7 @@ class Intake:
             self._decode(message, size, found)
         elif found is not None:
             camera = message.camera
-            self._put(message, size, found.capture_ns, found, lambda: _pixels(still, camera))
+            self._put(camera, found.capture_ns, found, lambda: _pixels(still, camera))
         self._newest[message.camera] = message.sequence
 
     def _hear(self, message: PushMessage) -> None:
@@ -134,11 +135,10 @@ class Intake:
             def load(frame: av.VideoFrame = frame) -> UInt8:
                 return np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
 
-            self._put(message, size, frame.pts, found, one_at_a_time(load))
+            self._put(message.camera, frame.pts, found, one_at_a_time(load))
 
-    def _put(self, message: PushMessage, size: tuple[int, int], capture: int, found: CaptureTime, load: Any) -> None:
-        source: ClockSource = found.source
-        self._rig.put(Picture(message.camera, capture, source, found.error_ns, message.sequence, size, load))
+    def _put(self, camera: str, capture_ns: int, found: CaptureTime, load: Callable[[], UInt8]) -> None:
+        self._rig.put(Picture(camera, capture_ns, found.source, found.error_ns, load))
 
 
 def _announced(message: PushMessage, size: tuple[int, int]) -> AnnouncedPicture:

@@ -19,8 +19,6 @@ class Picture:
         capture_ns: capture time, nanoseconds since 1970.
         source: evidence of the time.
         error_ns: how far the time may be off.
-        sequence: counts the camera's pictures as they came.
-        size: (width, height) in pixels.
         load: decodes the [H,W,3] uint8 RGB pixels; called only for pictures that are used, by any thread; raises
             InputError for one that does not decode.
     """
@@ -29,14 +27,7 @@ class Picture:
     capture_ns: int
     source: ClockSource
     error_ns: int
-    sequence: int
-    size: tuple[int, int]
     load: Callable[[], UInt8]
-
-    @property
-    def image(self) -> UInt8:
-        """[H,W,3] RGB."""
-        return self.load()
 
 
 def one_at_a_time(load: Callable[[], UInt8]) -> Callable[[], UInt8]:

@@ -16,7 +16,7 @@ from tests.server.ingest.push.stage import rig
 
 
 def _picture(camera: str, capture_ns: int) -> Picture:
-    return Picture(camera, capture_ns, ClockSource.STATED, 0, 0, (8, 8), lambda: np.zeros((8, 8, 3), np.uint8))
+    return Picture(camera, capture_ns, ClockSource.STATED, 0, lambda: np.zeros((8, 8, 3), np.uint8))
 
 
 @pytest.mark.parametrize("missing", [False, True])

@@ -49,7 +49,7 @@ def told_and_shown(*loads: Callable[[], UInt8] | None, looks: int) -> tuple[list
     watch = WalkWatch(names, BOARD, said.append, shown.append, AtOnce(), lambda: float(next(seconds)))
     for number in range(looks):
         pictures = [
-            None if load is None else Picture(name, number, ClockSource.ARRIVAL, 0, number, SIZE, load)
+            None if load is None else Picture(name, number, ClockSource.ARRIVAL, 0, load)
             for name, load in zip(names, loads, strict=True)
         ]
         watch.look(Instant(number, number, tuple(pictures)))
