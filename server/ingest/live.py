@@ -47,6 +47,7 @@ class LiveDataset(PlacedCameras):
         push_socket: where to take pictures that the serving process relays, while frames are read; or none.
         give_sound: takes the rig's sound as it comes, while frames are read; or none.
         undistortions, space, cameras: as in `PlacedCameras`.
+        rig: in operation, which takes pushed pictures; None while nothing is read.
     """
 
     definition: RigDefinition
@@ -56,7 +57,7 @@ class LiveDataset(PlacedCameras):
     space: Similarity = UNCHANGED
     cameras: tuple[Camera, ...] = field(init=False)
     frame_count: None = field(init=False, default=None)  # endless
-    _rig: Rig | None = field(init=False, default=None)
+    rig: Rig | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         self.cameras = self.placed_cameras
@@ -101,24 +102,19 @@ class LiveDataset(PlacedCameras):
         """
         if start < 0 or (stop is not None and stop < start):
             raise ValueError(f"frames {start} to {stop} do not exist")
-        if self._rig is not None:
+        if self.rig is not None:
             raise ValueError("the rig is being read already; close its frames first")
         return self._frames(start, stop)
 
     def close(self) -> None:
         """Stop reading frames; may be called from any thread."""
-        if (rig := self._rig) is not None:
+        if (rig := self.rig) is not None:
             rig.stop()
 
     def statistics(self) -> Statistics | None:
         """Figures of cameras and delivery; None while nothing is read."""
-        rig = self._rig
+        rig = self.rig
         return None if rig is None else rig.statistics()
-
-    @property
-    def rig(self) -> Rig | None:
-        """The rig in operation, which takes pushed pictures; None while nothing is read."""
-        return self._rig
 
     def _frames(self, start: int, stop: int | None) -> Generator[FrameSet]:
         index = start
@@ -131,7 +127,7 @@ class LiveDataset(PlacedCameras):
             pool = stack.enter_context(ThreadPoolExecutor(min(len(self.cameras), os.cpu_count() or 1), "undistort"))
             if self.push_socket is not None and rig.pushed:
                 stack.enter_context(listening(self.push_socket, lambda: Intake(rig)))
-            self._rig = rig  # only now does it take what is pushed
+            self.rig = rig  # only now does it take what is pushed
             rig.start()
             instants = rig.instants()
 
@@ -187,7 +183,7 @@ class LiveDataset(PlacedCameras):
         return instant, images, np.array(present, np.bool_)
 
     def _release(self) -> None:
-        self._rig = None
+        self.rig = None
 
 
 def open_live(

@@ -50,19 +50,17 @@ class GradeControl:
 
     It gets coarser at once when a picture takes long, and finer after several quick pictures, if the next grade should
     still be quick. Pictures of a view that does not move may take longer.
+
+    Attributes:
+        moving: index of the grade while the view or the scene changes.
     """
 
     _SLOW, _QUICK, _REST, _MAX_REST = 0.25, 0.15, 1.5, 10.0  # seconds a picture
     _CALM = 5  # pictures
 
     def __init__(self) -> None:
-        self._index, self._calm = 1, 0
+        self.moving, self._calm = 1, 0
         self._cost = 0.0  # seconds for all pixels at grade 0, from the last picture
-
-    @property
-    def moving(self) -> int:
-        """Index of the grade while the view or the scene changes."""
-        return self._index
 
     def resting(self, shown: int) -> int:
         """Index of the grade to draw next when nothing changes, after a picture of grade `shown`: the finest one that
@@ -75,15 +73,15 @@ class GradeControl:
     def delivered(self, index: int, seconds: float) -> None:
         """A picture of grade `index` took `seconds`."""
         self._cost = seconds / _work(index)
-        if index < self._index:
+        if index < self.moving:
             return  # a picture of a view at rest may take longer
         if seconds > self._SLOW:
             steps = 2 if seconds > 3 * self._SLOW else 1
-            self._index, self._calm = min(self._index + steps, len(GRADES) - 1), 0
+            self.moving, self._calm = min(self.moving + steps, len(GRADES) - 1), 0
             return
         self._calm += 1
-        if self._calm >= self._CALM and self._index > 0 and self._expected(self._index - 1) <= self._QUICK:
-            self._index, self._calm = self._index - 1, 0
+        if self._calm >= self._CALM and self.moving > 0 and self._expected(self.moving - 1) <= self._QUICK:
+            self.moving, self._calm = self.moving - 1, 0
 
     def _expected(self, index: int) -> float:
         return self._cost * _work(index)

@@ -79,11 +79,6 @@ class CaptureClock:
         self._source = ClockSource.ARRIVAL
 
     @property
-    def source(self) -> ClockSource:
-        """Evidence of the latest capture time."""
-        return self._source
-
-    @property
     def drift_ppm(self) -> float:
         """How much faster the wall clock runs than the stream's, in parts per million."""
         return (self._sender if self._source is ClockSource.NTP else self._envelope).drift_ppm
