@@ -27,6 +27,11 @@ def check_output(path: Path) -> None:
         raise InputError(path, "cannot be written (no permission for the folder)")
 
 
+def nearest_folder(folder: Path) -> Path:
+    """The folder itself, or the nearest one above it that is there."""
+    return next(each for each in (folder, *folder.absolute().parents) if each.is_dir())
+
+
 def temporary_beside(path: Path) -> Path:
     """A name in the folder of `path` that nobody else uses, hidden, to be given to `put_in_place`."""
     return path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")

@@ -38,7 +38,8 @@ async def record_stream(
 ) -> int:
     """Record each state that arrives as one frame of the stream, until there are `frames` pictures or it is over.
 
-    It begins with the first state of which all levels are here, which come one after the other, or after ten seconds.
+    It begins with the newest state as soon as all levels of it are here, which come one after the other after an older
+    keyframe, or after ten seconds.
 
     A folder at the stream's own rate has one picture for each state. A film, and a folder at another rate, last as long
     as what they show, but for gaps of more than ten seconds: pictures that fall between two states show what lies
@@ -110,7 +111,8 @@ class _Reception:
         self._take, self._tell = take, tell
         self._levels = options.levels  # asked for; None for all
         self._is_of_the_past = options.start is not None
-        self._kept: NewScene | None = None  # the newest state without all levels, before the first picture
+        self._kept: NewScene | None = None  # the newest state before the first picture
+        self._is_there = self._is_of_the_past  # at the live edge, or where it is to begin
         self._begin_by = float("inf")
         self._state = self._detail = ""  # of the stream, in the server's words
         self._caught_up: float | None = None  # since when nothing new has come to what the server has kept
@@ -144,15 +146,18 @@ class _Reception:
             self._enter(str(event.fields.get("state")), str(event.fields.get("detail", "")))
             if self._state == "failed":
                 raise InputError("stream", f"has failed: {self._detail}")
-        elif isinstance(event, Notice) and event.name == "caught_up" and self._is_of_the_past:
-            self._caught_up = time.monotonic()
+        elif isinstance(event, Notice) and event.name == "caught_up":
+            self._caught_up = time.monotonic() if self._is_of_the_past else None
+            self._is_there = True
+            if self._kept is not None and not self._kept_back(self._kept):
+                await self.draw_kept()
         elif isinstance(event, Notice) and event.name == "sound":
             self.has_sound = True
         elif isinstance(event, Notice) and event.name == "progress":
             self._tell(f"first frame {100 * float(event.fields.get('fraction') or 0):.0f} %")
 
     async def draw_kept(self) -> None:
-        """Draw what is here of a stream that was over before all levels of a state were."""
+        """Draw what is here of a stream, if nothing of it was drawn so far."""
         if self._take.newest is None and self._kept is not None:
             await self._take.draw(self._kept)
 
@@ -162,10 +167,11 @@ class _Reception:
         self._tell(f"stream is {state}{detail and ': '}{detail}")
 
     def _kept_back(self, event: NewScene) -> bool:
-        """Keep a first state of which more levels are to come soon; whether it was kept."""
+        """Keep a first state that newer ones or more of its levels follow soon; whether it was kept."""
         count = len(event.scene.levels)
         now = time.monotonic()
-        if self._take.count > 0 or event.levels >= min(count, self._levels or count) or now > self._begin_by:
+        is_whole = self._is_there and event.levels >= min(count, self._levels or count)
+        if self._take.count > 0 or is_whole or now > self._begin_by:
             return False
         self._begin_by = min(self._begin_by, now + _WHOLE_SECONDS)
         self._kept = event

@@ -75,6 +75,7 @@ def _live(file: Path, settings: Settings, say: Say) -> RigCheck:
     from streamlod.core.render.backends import cuda_fault
     from streamlod.server.cli.pace import judged_pace
     from streamlod.server.cli.rig import phones_socket
+    from streamlod.server.cli.room import judged_room
     from streamlod.server.doctor.host import usable_cores
     from streamlod.server.ingest.live import open_live
 
@@ -109,7 +110,7 @@ def _live(file: Path, settings: Settings, say: Say) -> RigCheck:
         name = rig.definition.sound_name
         silent = told.sound or ("" if heard.is_set() else f"no sound of {name}: it sent none within {seconds:.0f} s")
         more.append(weak(silent) if silent else fact(f"the sound of {name} is heard"))
-    return replace(found, findings=(*found.findings, *more))
+    return replace(found, findings=(*found.findings, *more, *judged_room(settings)))
 
 
 def _timed(told: Statistics, fps: float) -> list[RigFinding]:

@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from streamlod.core.files import nearest_folder
 from streamlod.server.doctor.finding import Finding, Verdict
 
 MIN_MEMORY_GIB, MIN_DISK_GIB = 4.0, 5.0
@@ -48,7 +49,7 @@ def _processor() -> Finding:
 
 def _disk(folder: Path) -> Finding:
     check = f"disk {folder}"
-    place = next((parent for parent in (folder, *folder.resolve().parents) if parent.is_dir()), Path("/"))
+    place = nearest_folder(folder)
     free = shutil.disk_usage(place).free / 2**30
     if not os.access(place, os.W_OK):
         return Finding(check, Verdict.FAULT, "cannot be written", "choose another --state-dir, or change its owner")

@@ -76,7 +76,8 @@ def filmed_sound(path: Path, rate: int, begin_ns: int, count: int) -> Iterator[I
                 yield from _silence(min(begin, count) - done, channels, rate)
                 done = max(done, min(begin, count))
                 part = block[skipped : skipped + count - done]
-                yield part
+                if len(part):  # an empty one is no sound to encoders
+                    yield part
                 done += len(part)
                 if done >= count:
                     return

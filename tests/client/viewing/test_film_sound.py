@@ -57,6 +57,7 @@ def from_time(begin_ns: int, count: int) -> list[int]:
         (from_time(1_700_000_000, 30), [0.8, 1.8, 2.8]),
         ([*from_time(0, 20), *from_time(4_200_000_000, 20)], [0.5, 1.5, 2.3, 3.3]),  # the stream skipped something
         ([*from_time(6_000_000_000, 10), *from_time(0, 10)], [0.5, 1.5]),  # it began again
+        ([-3_000_000_000, *from_time(0, 10)], [0.6]),  # its first picture is older than the sound
         ([*from_time(0, 10), *[None] * 20], [0.5]),  # the camera flies on around the last scene
         (from_time(7_200_000_000, 30), [0.3]),  # the sound ends first
         ([time_ns + 30_000_000 * (n % 2) for n, time_ns in enumerate(from_time(0, 30))], [0.5, 1.5, 2.5]),  # jitter

@@ -63,13 +63,19 @@ def recorded(
     fps: float | None = None,
     secure: ssl.SSLContext | None = None,
     end: tuple[int, str] = (1000, ""),
+    joined: int = 0,
 ) -> int:
-    """Record a stream of these packets from its middle camera; returns the number of pictures."""
+    """Record a stream of these packets, of which the first `joined` lead to the live edge, from its middle camera;
+    returns the number of pictures.
+    """
 
     async def stream(socket: ServerConnection) -> None:
         await socket.recv()
         await socket.send(json.dumps(WELCOME))
-        for packet in data:
+        for packet in data[:joined]:
+            await socket.send(packet)
+        await socket.send(json.dumps({"type": "event", "event": "caught_up"}))
+        for packet in data[joined:]:
             await socket.send(packet)
         await socket.close(*end)
 
@@ -99,6 +105,14 @@ def test_the_first_picture_has_all_levels(tmp_path: Path) -> None:
     key, residual = packets(scenes)
     assert recorded([*split_levels(key), residual], tmp_path / "seen") == 2
     for picture, scene in zip(shown(tmp_path / "seen"), scenes, strict=True):
+        np.testing.assert_array_equal(picture, drawn(scene))
+
+
+def test_a_live_film_begins_live(tmp_path: Path) -> None:
+    """A keyframe of minutes ago, which a stream is joined by, is no part of it."""
+    scenes = states(4)
+    assert recorded(packets(scenes), tmp_path / "seen", joined=3) == 2
+    for picture, scene in zip(shown(tmp_path / "seen"), scenes[2:], strict=True):
         np.testing.assert_array_equal(picture, drawn(scene))
 
 
@@ -140,7 +154,7 @@ def test_what_a_server_has_kept_ends_where_no_camera_films(
             options = WatchOptions(start=start)
             return await record_stream(url, tmp_path / "out", lambda header: lambda _: header.cameras[2], None, options)
 
-    assert asyncio.run(run()) == (4 if start is None else 3)
+    assert asyncio.run(run()) == (2 if start is None else 3)
     assert (is_gone in caplog.text) == (start is not None)
 
 
