@@ -68,12 +68,6 @@ MAX_SCALE = 191
 SCALES: Int64 = np.array([round(2 ** (q / 8)) for q in range(MAX_SCALE + 1)], np.int64)  # in 1/256; as in FORMAT.md
 
 
-def bin_of(magnitude: float) -> int:
-    """Bin of an expected magnitude |v|, clamped to the rows of `FREQUENCIES`."""
-    units = int(magnitude * MAGNITUDE_UNIT)
-    return int(np.searchsorted(BIN_THRESHOLDS, units, side="right"))
-
-
 def magnitude_bits(highest: int) -> Float32:
     """[BINS, highest + 1] bits that |v| = 0 .. `highest` costs in each bin, sign included.
 

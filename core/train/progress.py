@@ -20,14 +20,12 @@ class Progress:
         stage: for people, for example ``first frame``.
         fraction: done, in [0, 1].
         loss: of the latest step.
-        anchors: anchors at present.
         preview: makes the scene as it is now; costs time, so call it only when someone looks.
     """
 
     stage: str
     fraction: float
     loss: float
-    anchors: int
     preview: Callable[[], Scene] | None = None
 
 

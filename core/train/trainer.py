@@ -279,7 +279,7 @@ def _run(
         losses.append(trainer.step())
         if on_progress is not None and len(losses) % _REPORT_EVERY == 0:
             mean = float(torch.stack(losses[-_REPORT_EVERY:]).mean())
-            on_progress(Progress(stage, trainer.progress, mean, len(trainer.field), preview))
+            on_progress(Progress(stage, trainer.progress, mean, preview))
     return losses
 
 

@@ -20,14 +20,13 @@ class Clock:
     """One camera's times.
 
     Attributes:
-        camera: name. pictures: number of them. rate: pictures a second where it is not interrupted.
+        camera: name. rate: pictures a second where it is not interrupted.
         lost: part of its pictures that are missing between the first and the last.
         uneven: standard deviation of its times from an even beat, in periods.
         begin, end: seconds of the first and the last picture.
     """
 
     camera: str
-    pictures: int
     rate: float
     lost: float
     uneven: float
@@ -46,9 +45,7 @@ def clock_of(footage: WalkFootage) -> Clock:
     rest = times - np.polyval(line, beats)
     rate = 1 / max(float(line[0]), 1e-9)
     lost = 1 - len(times) / (counts.sum() + 1)
-    return Clock(
-        footage.camera, len(times), rate, float(lost), float(rest.std() * rate), float(times[0]), float(times[-1])
-    )
+    return Clock(footage.camera, rate, float(lost), float(rest.std() * rate), float(times[0]), float(times[-1]))
 
 
 def judged(clocks: Sequence[Clock]) -> Iterator[RigFinding]:

@@ -63,13 +63,13 @@ class FirstFrame:
                 due.pop(0)
                 show(progress.preview(), fraction)
 
-        self._tell(Progress("first look", 0.0, 0.0, 0))
+        self._tell(Progress("first look", 0.0, 0.0))
         if self._previews and (draft := self._draft(frame)) is not None:
             show(draft, 0.0)
         points, found = timing("train", lambda: self._points(frame))
         trained = self._trainer.keyframe(frame, points, training)
         scene = trained.scene
-        self._tell(Progress("first frame", 1.0, trained.report.loss, scene.anchor_count))
+        self._tell(Progress("first frame", 1.0, trained.report.loss))
         if version != frame.index:
             scene = replace(scene, keyframe=version, version=version)
             self._trainer.resume(scene, keep_references=True)
@@ -109,6 +109,6 @@ class FirstFrame:
             method=job.points,
             dataset_points=dataset.points(),
             seed=job.seed,
-            progress=lambda done: self._tell(Progress("looking for depth", _POINTS_SHARE * done, 0.0, 0)),
+            progress=lambda done: self._tell(Progress("looking for depth", _POINTS_SHARE * done, 0.0)),
             space=dataset.space,
         )

@@ -7,7 +7,19 @@ import pytest
 
 from streamlod.codec.coder import column_model
 from streamlod.codec.coder.entropy import encode_items
-from streamlod.core.scene.entropy_model import BINS, SCALES, UNIT_BIN, bin_of, magnitude_bits
+from streamlod.core.scene.entropy_model import (
+    BIN_THRESHOLDS,
+    BINS,
+    MAGNITUDE_UNIT,
+    SCALES,
+    UNIT_BIN,
+    magnitude_bits,
+)
+
+
+def bin_of(magnitude: float) -> int:
+    """Bin of an expected magnitude |v|, as the coder finds it."""
+    return int(np.searchsorted(BIN_THRESHOLDS, int(magnitude * MAGNITUDE_UNIT), side="right"))
 
 
 def test_bins_are_quarter_octaves() -> None:

@@ -31,7 +31,7 @@ def test_compiling_is_told_once_and_then_what_was_told_before() -> None:
     report = ProgressReport(told.append)
     with report.compiling():
         _quarter(np.ones(3))
-        report.trained(Progress("first look", 0.25, 0.5, 0))
+        report.trained(Progress("first look", 0.25, 0.5))
         _quarter(np.ones(3, np.float32))
         _quarter(np.zeros(3))  # compiled already
     _quarter(np.ones((3, 3)))  # nobody listens
