@@ -49,7 +49,7 @@ def coverage_of(cameras: Sequence[Camera]) -> Coverage:
     line = np.linspace(-radius, radius, _STEPS)
     grid = np.stack(np.meshgrid(line, line, line), axis=-1).reshape(-1, 3)
     ball = centre + grid[np.linalg.norm(grid, axis=1) <= radius]
-    counts = np.sum([_sees(camera, ball) for camera in cameras], axis=0)
+    counts = np.sum([is_seen_by(camera, ball) for camera in cameras], axis=0)
     shares = tuple(float((counts >= least).mean()) for least in (2, 3, 4))
     rays = (centres - centre) / np.maximum(np.linalg.norm(centres - centre, axis=1, keepdims=True), 1e-12)
     angles = np.degrees(np.arccos(np.clip(rays @ rays.T, -1, 1)))
@@ -86,7 +86,7 @@ def _tree(angles: Float64) -> Iterator[tuple[float, int, int]]:
         yield degrees, a, b
 
 
-def _sees(camera: Camera, points: Float64) -> Bool:
+def is_seen_by(camera: Camera, points: Float64) -> Bool:
     """[N] whether a camera's picture holds points [N,3]."""
     local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     ahead = local[:, 2] > 1e-9

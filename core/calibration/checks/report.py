@@ -9,6 +9,7 @@ import numpy as np
 
 from streamlod.core.calibration.checks import agreement, clocks, coverage, looks, matches, poses
 from streamlod.core.calibration.checks.finding import RigFinding, fault
+from streamlod.core.calibration.checks.from_above import drawn_from_above
 from streamlod.core.camera import Camera
 from streamlod.core.data.lens import Undistortion
 from streamlod.core.frames import FrameSet
@@ -19,10 +20,14 @@ _ORDER = ("fault", "weak", "fact")
 
 @dataclass(frozen=True, slots=True)
 class RigCheck:
-    """A check's outcome: the table, and the findings, the worst first."""
+    """A check's outcome: the table, the findings, the worst first, and what the cameras see, drawn in letters.
+
+    `drawing` is empty where fewer than two cameras gave a picture.
+    """
 
     table: str
     findings: tuple[RigFinding, ...]
+    drawing: str
 
     @property
     def at_fault(self) -> bool:
@@ -33,7 +38,7 @@ class RigCheck:
         """Everything, for people."""
         lines = [f"{_MARKS[finding.severity]} {finding.sentence}" for finding in self.findings]
         end = "the rig has faults" if self.at_fault else "the rig can film"
-        return "\n".join([self.table, *lines, end])
+        return "\n".join([self.table, *([self.drawing] if self.drawing else []), *lines, end])
 
 
 def examine(
@@ -57,7 +62,7 @@ def examine(
     findings += looks.judged(found)
     if len(known) > 1:
         findings += clocks.judged(list(known.values()))
-    best = np.full(len(cameras), np.nan)
+    best, drawing = np.full(len(cameras), np.nan), ""
     if len(seen) > 1:
         present = [cameras[number] for number in seen]
         # what stands still is the same at all instants, so these need not agree
@@ -65,10 +70,12 @@ def examine(
         agreed = agreement.agreements(pairs, present)
         findings += poses.judged(agreed, pairs, [plans[number] for number in seen])
         best[seen] = agreement.misses(agreed, len(present))
-        findings += coverage.judged(coverage.coverage_of(present), present)
+        covered = coverage.coverage_of(present)
+        findings += coverage.judged(covered, present)
+        drawing = drawn_from_above(covered, present)
     findings.sort(key=lambda finding: _ORDER.index(finding.severity))
     rows = _rows(cameras, dict(zip(seen, found, strict=True)), known, best.tolist())
-    return RigCheck("\n".join(rows), tuple(findings))
+    return RigCheck("\n".join(rows), tuple(findings), drawing)
 
 
 def _rows(

@@ -13,7 +13,7 @@ import pytest
 from streamlod.core.calibration.checks.clocks import Clock, clock_of, judged
 from streamlod.core.calibration.checks.report import RigCheck, examine
 from streamlod.core.calibration.walk import WalkFootage
-from streamlod.core.camera import Camera
+from streamlod.core.camera import Camera, look_at
 from streamlod.core.data.lens import undistortions
 from streamlod.core.frames import FrameSet
 from streamlod.core.synthetic import SyntheticSpec, write_clip
@@ -55,6 +55,7 @@ def test_a_sound_rig_has_no_fault(filmed: Filmed) -> None:
     assert faults(check) == []
     assert check.text().endswith("the rig can film")
     assert any("two cameras or more see" in finding.sentence for finding in check.findings)
+    assert f"A {cameras[0].name}, B {cameras[1].name}" in check.text()
 
 
 def test_a_knocked_camera_is_named_alone(filmed: Filmed) -> None:
@@ -131,8 +132,6 @@ def test_cameras_with_the_pose_of_another_are_named(filmed: Filmed) -> None:
 def test_few_cameras_far_apart_are_told_where_another_helps(filmed: Filmed) -> None:
     cameras, frames = filmed
     eyes = [np.array([4 * np.cos(angle), 4 * np.sin(angle), 0]) for angle in (0.0, 0.3, 1.9)]
-    from streamlod.core.camera import look_at
-
     apart = [
         replace(camera, world_to_camera=look_at(eye, np.zeros(3), np.array([0, 0, 1.0])))
         for camera, eye in zip(cameras, eyes, strict=False)
