@@ -14,7 +14,7 @@ from streamlod.codec.sound.packets import sound_file
 from streamlod.core.errors import InputError, StreamlodError
 from streamlod.server.api.access import StreamOf, need_download
 from streamlod.server.api.ranges import FRESH, IMMUTABLE, Download, WallClock, respond
-from streamlod.server.http.problems import PROBLEMS, Problem
+from streamlod.server.http.problems import Problem, problems
 from streamlod.server.protocol.packets import Position
 from streamlod.server.stream.bus import GroupFile, RetainedGroup
 from streamlod.server.stream.recording.segment import Segment
@@ -25,7 +25,7 @@ _MAX_NUMBER = 2**32 - 1
 ANSWERS: dict[int | str, dict[str, Any]] = {
     206: {"description": "the range asked for"},
     304: {"description": "what the client has is current"},
-    **{status: PROBLEMS[status] for status in (401, 403, 404, 409, 410, 416, 422, 429)},
+    **problems(401, 403, 404, 409, 410, 416, 422, 429),
 }
 
 Epoch = Annotated[int, Path(ge=0, le=_MAX_NUMBER, description="encoder run", examples=[1])]

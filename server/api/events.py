@@ -16,7 +16,7 @@ from streamlod.server.api.access import grant_of, need, registry_of, until_withd
 from streamlod.server.api.registry import Registry
 from streamlod.server.auth.gate import Grant, Right
 from streamlod.server.http.head import is_head
-from streamlod.server.http.problems import PROBLEMS, Problem
+from streamlod.server.http.problems import Problem, problems
 from streamlod.server.stream.feed import ServerEvent
 
 _TYPE = "text/event-stream"
@@ -27,7 +27,7 @@ _MAX_READERS = 100
 _MAX_WAITING = 1000
 _ANSWERS: dict[int | str, dict[str, Any]] = {
     200: {"content": {_TYPE: {"schema": {"type": "string"}}}},
-    **{status: PROBLEMS[status] for status in (401, 403, 422, 429, 503)},
+    **problems(401, 403, 422, 429, 503),
 }
 router = APIRouter(tags=["events"], dependencies=[need(Right.READ)])
 

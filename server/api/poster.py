@@ -7,7 +7,7 @@ import html
 from collections import OrderedDict
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated
 from urllib.parse import parse_qs, quote, urlencode, urlsplit
 from weakref import WeakKeyDictionary
 
@@ -24,7 +24,7 @@ from streamlod.server.api.access import StreamOf, need, refusal, registry_of
 from streamlod.server.api.downloads import digest
 from streamlod.server.api.ranges import FRESH, Download, respond
 from streamlod.server.auth.gate import Right
-from streamlod.server.http.problems import PROBLEMS, Problem
+from streamlod.server.http.problems import Problem, problems
 from streamlod.server.http.public_address import base_of
 from streamlod.server.protocol.packets import Position
 from streamlod.server.stream.stream import Stream
@@ -34,7 +34,7 @@ MAX_POSTER_PIXELS = 640 * 480
 _GRADE = Grade(1, 80)
 _MAX_NUMBER = 2**32 - 1
 _WIDTH, _HEIGHT = 640, 360  # of the frame, where the asking site gives no bounds
-_ANSWERS: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (401, 403, 404, 422, 429, 503)}
+_ANSWERS = problems(401, 403, 404, 422, 429, 503)
 
 PREVIEW_SIZE = 640, 360  # pixels
 _KEPT, _MAX_WAITING = 64, 8  # pictures

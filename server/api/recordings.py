@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from itertools import groupby
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
@@ -14,11 +14,11 @@ from streamlod.server.api.ranges import WallClock, respond
 from streamlod.server.api.registry import Registry
 from streamlod.server.api.schemas import RecordingBody, RecordingList
 from streamlod.server.auth.gate import Right
-from streamlod.server.http.problems import PROBLEMS, Problem
+from streamlod.server.http.problems import Problem, problems
 from streamlod.server.stream.recording.recording import Recording
 from streamlod.server.stream.recording.segment import Segment
 
-_ANSWERS: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (401, 403, 404, 422, 429)}
+_ANSWERS = problems(401, 403, 404, 422, 429)
 router = APIRouter(prefix="/v1/recordings", tags=["recordings"], responses=_ANSWERS)
 Epoch = Annotated[int | None, Query(ge=0, le=2**32 - 1, description="encoder run; all by default")]
 
@@ -61,7 +61,7 @@ RecordingOf = Annotated[Recording, Depends(find_recording)]
     "/{stream_id}/bitstream",
     summary="Download a recording",
     response_class=Response,
-    responses={status: PROBLEMS[status] for status in (409, 416)},
+    responses=problems(409, 416),
     dependencies=[need(Right.READ)],
 )
 async def download_recording(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
 from fastapi import APIRouter, Request
 
@@ -11,10 +10,10 @@ from streamlod.core.version import streamlod_version
 from streamlod.server.api.access import need, registry_of
 from streamlod.server.api.schemas import Capabilities, ServerBody
 from streamlod.server.auth.gate import Right
-from streamlod.server.http.problems import PROBLEMS
+from streamlod.server.http.problems import problems
 from streamlod.server.protocol.messages import PROTOCOL_VERSION
 
-_ANSWERS: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (401, 403, 429)}
+_ANSWERS = problems(401, 403, 429)
 router = APIRouter(tags=["server"], responses=_ANSWERS, dependencies=[need(Right.READ)])
 
 

@@ -21,7 +21,7 @@ from streamlod.server.api.reach import check_reach
 from streamlod.server.api.registry import Registry
 from streamlod.server.api.schemas import Health, Link, Manifest, NewLink, StreamBody, StreamList
 from streamlod.server.auth.gate import Right
-from streamlod.server.http.problems import PROBLEMS, Problem
+from streamlod.server.http.problems import Problem, problems
 from streamlod.server.pipeline.checks import check_job
 from streamlod.server.pipeline.job import POINT_METHODS
 from streamlod.server.pipeline.new_stream import NewStream, StreamChange
@@ -32,13 +32,7 @@ from streamlod.server.stream.bus import RetainedGroup
 from streamlod.server.stream.stream import Stream
 from streamlod.server.stream.worker_stream import WorkerStream
 
-_USUAL: dict[int | str, dict[str, Any]] = {
-    status: PROBLEMS[status] for status in (400, 401, 403, 404, 413, 415, 422, 429)
-}
-
-
-def _problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    return {status: PROBLEMS[status] for status in statuses}
+_USUAL = problems(400, 401, 403, 404, 413, 415, 422, 429)
 
 
 @contextmanager
@@ -72,9 +66,7 @@ async def list_streams(
     return StreamList(items=items, next_cursor=page[-1] if len(names) > limit else None)
 
 
-@control.post(
-    "", status_code=201, summary="Create a stream", responses={status: PROBLEMS[status] for status in (409, 507)}
-)
+@control.post("", status_code=201, summary="Create a stream", responses=problems(409, 507))
 async def create_stream(body: NewStream, request: Request, response: Response) -> StreamBody:
     """Create a stream from a data set, live cameras, a recorded file or a synthetic clip; idle without `start`. With
     it, a stream for which the workers' cluster has no room is not created: 409, with what would have to stop."""
@@ -129,7 +121,7 @@ async def get_definition(stream: WorkerStreamOf, response: Response) -> dict[str
     "/{stream_id}",
     summary="Change a stream",
     dependencies=[need(Right.CONTROL)],
-    responses=_problems(409, 412, 507),
+    responses=problems(409, 412, 507),
 )
 async def change_stream(
     body: StreamChange,
@@ -155,7 +147,7 @@ async def change_stream(
     status_code=204,
     summary="Delete a stream",
     dependencies=[need(Right.CONTROL), IfMatch],
-    responses=_problems(412, 507),
+    responses=problems(412, 507),
 )
 async def delete_stream(
     stream: WorkerStreamOf,
@@ -185,7 +177,7 @@ async def _until_placed(request: Request, stream: WorkerStream) -> str:
     status_code=202,
     summary="Start",
     dependencies=[need(Right.CONTROL), IfMatch],
-    responses=_problems(409, 412),
+    responses=problems(409, 412),
 )
 async def start_stream(stream: WorkerStreamOf, request: Request) -> StreamBody:
     """Start the worker; one that runs goes on, an ended source begins again. Where the workers' cluster has no room for
@@ -202,7 +194,7 @@ async def start_stream(stream: WorkerStreamOf, request: Request) -> StreamBody:
     status_code=202,
     summary="Stop",
     dependencies=[need(Right.CONTROL), IfMatch],
-    responses=_problems(412),
+    responses=problems(412),
 )
 async def stop_stream(stream: WorkerStreamOf, request: Request) -> StreamBody:
     """Stop the worker; viewers stay connected and the recording stays."""
@@ -216,7 +208,7 @@ async def stop_stream(stream: WorkerStreamOf, request: Request) -> StreamBody:
     status_code=201,
     summary="Sign an address of a download, or of a camera's page",
     dependencies=[need(Right.READ)],
-    responses=_problems(409),
+    responses=problems(409),
 )
 async def create_link(body: NewLink, stream: StreamOf, request: Request) -> Link:
     """An address with which anybody may fetch a download, or all of the stream's, until it or the token expires. For

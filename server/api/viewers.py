@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Path, Request
 
@@ -11,9 +11,9 @@ from streamlod.core.errors import SessionError
 from streamlod.server.api.access import StreamOf, need, registry_of
 from streamlod.server.api.schemas import ViewerBody, ViewerList
 from streamlod.server.auth.gate import Right
-from streamlod.server.http.problems import PROBLEMS, Problem
+from streamlod.server.http.problems import Problem, problems
 
-_ANSWERS: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (401, 403, 404, 422, 429)}
+_ANSWERS = problems(401, 403, 404, 422, 429)
 router = APIRouter(
     prefix="/v1/streams/{stream_id}/viewers", tags=["viewers"], responses=_ANSWERS, dependencies=[need(Right.CONTROL)]
 )

@@ -17,7 +17,7 @@ from streamlod.server.api.hls.routes import HLS
 from streamlod.server.api.ranges import FRESH, caching
 from streamlod.server.edge.origin import Origin
 from streamlod.server.http.head import is_head
-from streamlod.server.http.problems import PROBLEMS, Problem
+from streamlod.server.http.problems import Problem, problems
 
 if TYPE_CHECKING:
     import httpx
@@ -37,7 +37,7 @@ router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], depende
     RECORDING,
     summary="The file that the stream plays",
     response_class=Response,
-    responses=ANSWERS | {502: PROBLEMS[502]},
+    responses=ANSWERS | problems(502),
 )
 async def recording(stream: StreamOf, request: Request) -> Response:
     """The whole `.slod` file behind a stream whose source is a recording, as the origin sends it."""
@@ -48,7 +48,7 @@ async def recording(stream: StreamOf, request: Request) -> Response:
     SOUND,
     summary="The sound of the stream",
     response_class=Response,
-    responses=ANSWERS | {502: PROBLEMS[502]},
+    responses=ANSWERS | problems(502),
 )
 async def sound(stream: StreamOf, request: Request, from_ns: TimeNs = 0, to_ns: TimeNs | None = None) -> Response:
     """The Ogg Opus file that belongs to the recording, or is made of live sound, as the origin sends it."""
@@ -60,7 +60,7 @@ async def sound(stream: StreamOf, request: Request, from_ns: TimeNs = 0, to_ns: 
     HLS + "/{name:path}",
     summary="HLS playlist and its segments",
     response_class=Response,
-    responses=ANSWERS | {502: PROBLEMS[502]},
+    responses=ANSWERS | problems(502),
 )
 async def hls(stream: StreamOf, request: Request, name: Annotated[str, Path(pattern=_NAMES)]) -> Response:
     """The playlist and segments of the origin. A signature goes on to all that the playlist names."""

@@ -50,7 +50,7 @@ TITLES = {
 }  # fmt: skip
 
 
-PROBLEMS: dict[int | str, dict[str, Any]] = {
+_PROBLEMS: dict[int | str, dict[str, Any]] = {
     status: {"content": {PROBLEM_TYPE: {"schema": {"$ref": "#/components/schemas/ProblemBody"}}}, "description": text}
     for status, text in {
         400: "the body is no JSON", 401: "token missing or wrong", 403: "the token lacks the right",
@@ -62,7 +62,12 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
         503: "the server is stopping", 507: "the disk is full",
     }.items()
 }  # fmt: skip
-PROBLEMS[413] = {"description": "the body is too large; the connection ends"}  # before it is read: without a body
+_PROBLEMS[413] = {"description": "the body is too large; the connection ends"}  # before it is read: without a body
+
+
+def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """The answers of these statuses, as FastAPI describes them."""
+    return {status: _PROBLEMS[status] for status in statuses}
 
 
 _PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">

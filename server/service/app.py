@@ -34,7 +34,7 @@ from streamlod.server.edge.pull import OriginSource
 from streamlod.server.http.access_log import AccessLog
 from streamlod.server.http.head import HeadAsGet
 from streamlod.server.http.networks import check_places
-from streamlod.server.http.problems import PROBLEMS, Problem, problem_page, problem_response
+from streamlod.server.http.problems import Problem, problem_page, problem_response, problems
 from streamlod.server.http.site_policy import SitePolicy
 from streamlod.server.http.static_page import PageFiles
 from streamlod.server.pipeline.spec import StreamSpec
@@ -237,7 +237,7 @@ def _add_health(app: FastAPI) -> None:
         summary="Prometheus metrics",
         dependencies=[need(Right.METRICS)],
         response_class=PlainTextResponse,
-        responses={status: PROBLEMS[status] for status in (401, 403, 429)},
+        responses=problems(401, 403, 429),
     )
     async def metrics(request: Request) -> PlainTextResponse:
         """The same as on the port of the metrics, for those with the right."""
