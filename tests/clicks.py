@@ -46,6 +46,7 @@ def write_sounding(
     rate: int = 48_000,
     channels: int = 1,
     begin: float = 0.0,
+    late: float = 0.0,
     without: tuple[float, float] = (0.0, 0.0),
     pictures: Sequence[NDArray[np.uint8]] | bool = True,
     fps: int = 25,
@@ -54,7 +55,7 @@ def write_sounding(
 
     Args:
         pictures: [H,W,3] RGB, to be seen in place of the flashing ones, `fps` a second; False for none.
-        begin: when its sound begins.
+        begin: when its sound begins. late: how much later than flashes its clicks are.
         without: from when to when there is no sound at all, as if packets had been lost.
     """
     layout: Any = "mono" if channels == 1 else "stereo"
@@ -72,7 +73,7 @@ def write_sounding(
                 picture.pts = number
                 container.mux(video.encode(picture))
             container.mux(video.encode(None))
-        samples, size = clicks(seconds - begin, rate, channels, begin), audio.frame_size or 1024
+        samples, size = clicks(seconds - begin, rate, channels, begin - late), audio.frame_size or 1024
         for at in range(0, len(samples), size):
             if without[0] <= begin + at / rate < without[1]:
                 continue

@@ -41,10 +41,11 @@ def check(source: Path, layout: str | None, settings: Settings, say: Say) -> tup
 
 
 def _recorded(data: Path, layout: str | None) -> RigCheck:
+    from streamlod.core.calibration.checks import heard
     from streamlod.core.calibration.checks.finding import weak
     from streamlod.core.calibration.checks.report import examine
     from streamlod.core.data import open_dataset
-    from streamlod.server.pipeline.sound import sound_faults
+    from streamlod.server.pipeline.sound import loudness_rises, sound_faults
 
     opened = open_dataset(data, layout=layout)
     count = opened.frame_count
@@ -55,7 +56,9 @@ def _recorded(data: Path, layout: str | None) -> RigCheck:
         with closing(opened.frames(begin, min(count, begin + 2))) as found:  # type: ignore[type-var]
             frames += found
     examined = examine(opened.undistortions, frames, _clocks(data))
-    return replace(examined, findings=(*examined.findings, *(weak(fault) for fault in sound_faults(opened))))
+    more = [weak(each) for each in sound_faults(opened)]
+    more += heard.judged(loudness_rises(opened), opened.recording.source.fps)
+    return replace(examined, findings=(*examined.findings, *more))
 
 
 def _clocks(data: Path) -> dict[str, Clock]:

@@ -6,8 +6,12 @@ import logging
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from streamlod.codec.sound.beside import sound_beside
 from streamlod.codec.sound.opus import SAMPLE_RATE, write_sound
+from streamlod.core.arrays import Float64
+from streamlod.core.calibration.checks.heard import RATE, rises
 from streamlod.core.data import Dataset
 from streamlod.core.data.dataset import Film
 from streamlod.core.data.video.sound import filmed_sound, silent_seconds, sound_channels
@@ -16,6 +20,7 @@ from streamlod.core.errors import InputError
 _LOG = logging.getLogger(__name__)
 AUTO, NONE = "auto", "none"
 _LATE_S = 1.5
+_LISTENED_S = 120.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,14 +72,18 @@ def choose_sound(dataset: Dataset, choice: str) -> FilmedSound | None:
 
 def sound_faults(dataset: Dataset) -> list[str]:
     """A sentence for each camera whose microphone is silent over the whole recording, or heard late only."""
-    recording, seconds = dataset.recording, _seconds(dataset)
-    films = [(camera.name, recording.source.film(row)) for row, camera in enumerate(recording.cameras)]
-    begins = {
-        name: silent_seconds(film.path, film.begin_ns, seconds)
-        for name, film in films
-        if film is not None and _usable(film) is not None
-    }
+    seconds = _seconds(dataset)
+    begins = {name: silent_seconds(film.path, film.begin_ns, seconds) for name, film in _sounding(dataset).items()}
     return [fault for name, begin in begins.items() if (fault := _fault(name, begin))]
+
+
+def loudness_rises(dataset: Dataset) -> dict[str, Float64]:
+    """How the loudness rises in each camera that has sound, within two minutes, on the clock that pairs pictures."""
+    count = round(min(_seconds(dataset), _LISTENED_S) * RATE)
+    return {
+        name: rises(np.concatenate(list(filmed_sound(film.path, RATE, film.begin_ns, count))))
+        for name, film in _sounding(dataset).items()
+    }
 
 
 def write_beside(out: Path, sound: FilmedSound | None, seconds: float) -> None:
@@ -89,6 +98,13 @@ def write_beside(out: Path, sound: FilmedSound | None, seconds: float) -> None:
         return
     blocks = filmed_sound(sound.film.path, SAMPLE_RATE, sound.film.begin_ns, round(seconds * SAMPLE_RATE))
     write_sound(path, blocks, sound.channels, begin_ns=0)
+
+
+def _sounding(dataset: Dataset) -> dict[str, Film]:
+    """Films of cameras with sound that can be used."""
+    recording = dataset.recording
+    films = {camera.name: recording.source.film(row) for row, camera in enumerate(recording.cameras)}
+    return {name: film for name, film in films.items() if film is not None and _usable(film) is not None}
 
 
 def _usable(film: Film) -> FilmedSound | None:

@@ -7,9 +7,10 @@ import pytest
 
 from streamlod.codec.sound.beside import look_at_sound, sound_beside
 from streamlod.codec.sound.opus import SAMPLE_RATE
+from streamlod.core.calibration.checks.heard import judged
 from streamlod.core.data import Dataset, open_dataset
 from streamlod.core.errors import InputError
-from streamlod.server.pipeline.sound import choose_sound, sound_faults, write_beside
+from streamlod.server.pipeline.sound import choose_sound, loudness_rises, sound_faults, write_beside
 from tests.clicks import onsets, write_sounding
 from tests.core.data.writers import picture, write_video, write_video_clip
 from tests.opus import read_sound
@@ -90,3 +91,16 @@ def test_sound_that_starts_late_is_told(tmp_path: Path, caplog: pytest.LogCaptur
     assert sound_faults(dataset) == [late]
     assert choose_sound(dataset, "auto") is not None
     assert late in caplog.messages
+
+
+def test_cameras_that_are_paired_wrongly_are_told_by_what_they_hear(tmp_path: Path) -> None:
+    """One of three hears each click 120 ms, three pictures, later than the others."""
+    write_video_clip(tmp_path, ["cam00", "cam01", "cam02", "cam03"], 3)
+    write_video(tmp_path / "cam03.mp4", [picture(0, 0)] * 75, 25)  # has no sound
+    for name, late in {"cam00": 0.0, "cam01": 0.12, "cam02": 0.0}.items():
+        write_sounding(tmp_path / f"{name}.mp4", 3.0, late=late)
+    wrong, fact = judged(loudness_rises(open_dataset(tmp_path)), 25.0)
+    assert wrong.sentence == (
+        "cam01 hears the same 120 ms later than most cameras, so its pictures are 3.0 frames off: walk the board again"
+    )
+    assert fact.sentence.startswith("by what cam00, cam01 and cam02 heard, their times agree to 120 ms")
