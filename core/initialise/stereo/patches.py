@@ -21,15 +21,37 @@ from streamlod.core.initialise.stereo.planes import facing, resampled
 from streamlod.core.initialise.stereo.sweep import DepthMap, neighbours, pair_geometry
 from streamlod.core.initialise.views import WorkingViews, pixel_centres
 
-_PASSES = 4  # of the first round, in which pictures of half the width and height decide alone
-_ROUNDS = 2  # after it, in which views are asked to agree
-_PASSES_A_ROUND = 2  # of each of these
-_AGREEMENT = 0.3  # weight in them of two pixels between a view's surface and another's
+_AGREEMENT = 0.3  # weight, where views are asked to agree, of two pixels between a view's surface and another's
 _BESIDE = 2.0  # pixels of parallax at which a depth is compared with a nearer and a farther one
-_CHANGE = 0.1  # of the depth, tried in the first pass; half of it in each pass after it
+_CHANGE = 0.1  # of the depth, tried in the first pass of the first round; half of it in the next pass, or round
 _COUNTED = 2  # sources whose costs are averaged (patch_kernel.py)
-_LEAST_ROWS = 120  # of pictures that are halved for the first round
+_LEAST_ROWS = 120  # of pictures that are halved
 _AROUND = 1.02  # factor by which depths may lie outside the bounds
+
+
+@dataclass(frozen=True, slots=True)
+class _Round:
+    """One round over all views.
+
+    Attributes:
+        passes: over each picture.
+        halved: whether pictures have half of their width and height, a quarter of the work.
+        agreement: weight of two pixels between a view's surface and another's; 0 where pictures decide alone.
+        change: halvings of the first change that is tried.
+    """
+
+    passes: int
+    halved: bool
+    agreement: float
+    change: int
+
+
+_ROUNDS = (
+    _Round(4, True, 0.0, 0),
+    _Round(1, False, 0.0, 1),  # without it, views come to agree on what only small pictures could not tell from it
+    _Round(2, False, _AGREEMENT, 2),
+    _Round(2, False, _AGREEMENT, 2),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,12 +95,12 @@ def slanted(
     limits = 1 / bounds[1] / _AROUND, 1 / bounds[0] * _AROUND
     rows = views.size[1]
     small = views.resized(rows // 2) if rows >= _LEAST_ROWS else views
-    planes = [resampled(facing(depth_map.depth, limits), small.size, limits) for depth_map in maps]
-    for round_number in range(1 + _ROUNDS):
-        if round_number == 1:
-            planes = [resampled(plane, views.size, limits) for plane in planes]
-        _improve(small if round_number == 0 else views, planes, limits, round_number)
-        progress((1 + round_number) / (1 + _ROUNDS))
+    planes = [facing(depth_map.depth, limits) for depth_map in maps]
+    for number, each in enumerate(_ROUNDS):
+        pictures = small if each.halved else views
+        planes = [resampled(plane, pictures.size, limits) for plane in planes]
+        _improve(pictures, planes, limits, each, seed=10 * number)
+        progress((1 + number) / len(_ROUNDS))
     weights = [_weights(image) for image in views.images]
     held = [plane[..., 0] for plane in planes]
     return [
@@ -87,18 +109,19 @@ def slanted(
     ]
 
 
-def _improve(views: WorkingViews, planes: Sequence[Float64], limits: tuple[float, float], round_number: int) -> None:
-    """One round over all views, which changes their `planes`."""
+def _improve(
+    views: WorkingViews, planes: Sequence[Float64], limits: tuple[float, float], each: _Round, seed: int
+) -> None:
+    """The round `each` over all views, which changes their `planes`."""
     held = [plane[..., 0].copy() for plane in planes]
-    agreement = _AGREEMENT if round_number else 0.0
     for index, plane in enumerate(planes):
         pairs = _pairs(views, index, _weights(views.images[index]), held)
         cost = np.empty(plane.shape[:2], np.float32)
-        plane_costs(pairs, agreement, plane, cost)
-        for turn in range(_PASSES_A_ROUND if round_number else _PASSES):
-            change = _CHANGE * 0.5 ** (turn + 2 * min(round_number, 1))
+        plane_costs(pairs, each.agreement, plane, cost)
+        for turn in range(each.passes):
+            change = _CHANGE * 0.5 ** (turn + each.change)
             for parity in (0, 1):
-                improve(pairs, agreement, *limits, change, parity, turn + 10 * round_number, plane, cost)
+                improve(pairs, each.agreement, *limits, change, parity, turn + seed, plane, cost)
 
 
 def _weights(image: Float32) -> Float32:

@@ -31,20 +31,22 @@ def flat_map(x: float, depth: float, cost: float = 0.0) -> DepthMap:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("width", "free", "off"),
-    [(128, 20.0, 0.09), pytest.param(240, 9.0, 0.06, marks=pytest.mark.slow)],  # windows widen what is near, in pixels
+    ("width", "free", "off", "covered"),
+    [(128, 20.0, 0.09, 0.8), pytest.param(480, 12.0, 0.06, 0.78, marks=pytest.mark.slow)],  # windows widen what is near
 )
-def test_hardly_any_point_of_a_plain_room_hangs_in_free_space(width: int, free: float, off: float) -> None:
+def test_hardly_any_point_of_a_plain_room_hangs_in_free_space(
+    width: int, free: float, off: float, covered: float
+) -> None:
     spec = SyntheticSpec(kind="bright", cameras=5, frames=1, width=width, height=width * 9 // 16)
     dataset = open_synthetic(spec)
     frame = next(iter(dataset.frames()))
     points = first_points(frame, dataset.cameras, depth_bounds=dataset.depth_bounds, method="sweep")
     truth = [ground_truth(spec, 0, number).depth for number in range(spec.cameras)]
     score = score_points(points, list(dataset.cameras), truth)
-    assert score.points > width**2
+    assert score.points > 128**2
     assert score.free_in_10000 <= free
     assert score.off < off
-    assert score.covered > 0.8
+    assert score.covered > covered
 
 
 def test_views_vote_for_what_they_see_and_against_what_they_look_through() -> None:
