@@ -1,18 +1,14 @@
-"""First points where no depth could be told: on the smoothest surface between those whose depth is known.
+"""Points where no depth could be told: on the smoothest surface between those whose depth is known.
 
-Cameras far apart share little. Much of a picture is then seen by one camera alone, and no match says how deep it is.
-Without first points there, a scene shows mush even to a viewer who stands where that camera stood, though any surface
-at all would show what the camera filmed. Inverse depths are spread from known pixels into the gaps as heat spreads in a
+A picture of points alone has holes. Inverse depths are spread from known pixels into the gaps as heat spreads in a
 plate, slower across edges of the picture (a Dirichlet problem; weights after Levin et al. 2004). Between known pixels
 of a plane lies that plane, and no depth leaves the range of the known ones.
 
-What several cameras have in their pictures is left to their agreement in training: a point at a wrong depth would serve
-one of them, hide the scene from the others and from every viewer between, and each would get a screen of its own.
+Only a first picture, which nothing trains, is filled so. Before training it costs more than it gives: what each camera
+alone is given lies at a wrong depth, and hides the scene from viewers between (docs/history/deleted.md).
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -21,57 +17,37 @@ from scipy.sparse.linalg import spsolve
 
 from streamlod.core.arrays import Bool, Float32, Float64
 from streamlod.core.camera import Camera
-from streamlod.core.camera.beside import views_between
 from streamlod.core.frames import PointCloud
 from streamlod.core.initialise.views import WorkingViews, inside, pixel_centres, project, unproject
 
 _EDGE = 0.08  # difference of colours, in [0, 1], across which depths spread e times slower
 _LEAST = 0.02  # of the weight within one colour, that depths spread with across any edge
 _SURE = 1e3  # weight of a known depth, in neighbours of the same colour
-_SHARES = (0.25, 0.5)  # of the way from each camera to its neighbours: views from which nothing is hidden
 _BEFORE = 0.05  # relative depth by which a point before a view's known surface hides it
 
 
-@dataclass(frozen=True, slots=True)
-class Completion:
-    """How gaps are filled.
+def completed(points: PointCloud, views: WorkingViews) -> PointCloud:
+    """`points`, and further ones in the gaps that they leave in the small pictures of `views`, coloured by these.
 
-    Attributes:
-        rows: of the grid of cells in which depths are spread; each cell of a gap gets a point, and a cell with a known
-            point, or beside one, is no gap.
-        shared: whether gaps that several cameras have in their pictures are filled too, as where nothing is trained.
+    Each pixel of a gap gets a point; one with a known point, or beside one, is no gap. Views are completed one after
+    the other: nothing is filled twice. A point that would hide what `points` show another view is left out.
     """
-
-    rows: int = 45
-    shared: bool = False
-
-    def completed(self, points: PointCloud, views: WorkingViews) -> PointCloud:
-        """`points`, and further ones in the gaps that they leave in each view, coloured by it.
-
-        Views are completed one after the other: no cell is filled twice. A point that would hide what `points` show
-        another view, or a view on the way to a neighbour, is left out.
-        """
-        grid = views.resized(self.rows)
-        between = views_between(grid.cameras, _SHARES)
-        known = [(view, nearest_depths(points.positions, view)) for view in (*grid.cameras, *between)]
-        found = points
-        for number, camera in enumerate(grid.cameras):
-            depths, filled = known[number][1], nearest_depths(found.positions, camera)
-            if not np.isfinite(depths).any():
-                depths = filled
-            if not np.isfinite(depths).any():
-                continue  # nothing says how deep this view is
-            new = in_gaps(spread(depths, grid.images[number]), filled, camera, grid.images[number])
-            kept = np.ones(len(new.positions), np.bool_)
-            for other, depths_there in known[:number] + known[number + 1 :]:
-                kept &= ~hides(new.positions, other, depths_there)
-            for other in () if self.shared else grid.cameras[:number] + grid.cameras[number + 1 :]:
-                kept &= ~inside(other, *project(other, new.positions.astype(np.float64)))
-            found = PointCloud(
-                np.concatenate([found.positions, new.positions[kept]]),
-                np.concatenate([found.colours, new.colours[kept]]),
-            )
-        return found
+    known = [(view, nearest_depths(points.positions, view)) for view in views.cameras]
+    found = points
+    for number, (camera, measured) in enumerate(known):
+        filled = nearest_depths(found.positions, camera)
+        sure = measured if np.isfinite(measured).any() else filled
+        if not np.isfinite(sure).any():
+            continue  # nothing says how deep this view is
+        new = in_gaps(spread(sure, views.images[number]), filled, camera, views.images[number])
+        kept = np.ones(len(new.positions), np.bool_)
+        for other, depths_there in known[:number] + known[number + 1 :]:
+            kept &= ~hides(new.positions, other, depths_there)
+        found = PointCloud(
+            np.concatenate([found.positions, new.positions[kept]]),
+            np.concatenate([found.colours, new.colours[kept]]),
+        )
+    return found
 
 
 def in_gaps(inverse: Float64, depths: Float64, camera: Camera, image: Float32) -> PointCloud:

@@ -7,7 +7,6 @@ import logging
 import numpy as np
 
 from streamlod.core.frames import PointCloud
-from streamlod.core.initialise.completion import Completion
 from streamlod.core.initialise.method import PointSources
 from streamlod.core.initialise.methods.dataset import dataset_points
 from streamlod.core.initialise.methods.learned import learned_sweep
@@ -15,7 +14,6 @@ from streamlod.core.initialise.methods.plane_sweep import plane_sweep
 from streamlod.core.initialise.methods.random import random_points
 
 _FEW = 500  # points; fewer are no start
-_COMPLETION = Completion()
 _log = logging.getLogger(__name__)
 
 
@@ -25,9 +23,7 @@ def colmap_and_sweep(sources: PointSources) -> PointCloud:
 
 
 def automatic(sources: PointSources) -> PointCloud:
-    """The data set's points with those that pictures give, and what fills the gaps between them; where both are few,
-    random ones as well.
-    """
+    """The data set's points with those that pictures give; where both are few, random ones as well."""
     points = sources.dataset_points or PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
     several = sources.frame.present.sum() > 1
     if several:
@@ -36,7 +32,7 @@ def automatic(sources: PointSources) -> PointCloud:
         doubt = "; are the cameras where their poses say? `streamlod check` tells" if several else ""
         _log.warning("the pictures gave only %d first points%s", len(points), doubt)
         points = merged(points, random_points(sources))
-    return _COMPLETION.completed(points, sources.views(_COMPLETION.rows))
+    return points
 
 
 def merged(first: PointCloud, second: PointCloud) -> PointCloud:

@@ -12,7 +12,7 @@ import numpy as np
 
 from streamlod.core.camera import Camera
 from streamlod.core.frames import FrameSet, PointCloud
-from streamlod.core.initialise.coarse import CoarseSweep
+from streamlod.core.initialise.coarse import coarse_sweep
 from streamlod.core.initialise.method import PointSources
 from streamlod.core.initialise.views import working_views
 from streamlod.core.scene.anchors import Scene
@@ -45,7 +45,7 @@ def draft_scene(
         InputError: fewer than two cameras are present, or they cannot measure depth.
         ModelError: no surface was found at all.
     """
-    points = CoarseSweep().find(PointSources(frame, cameras, depth_bounds, dataset_points, config.seed, lambda _: None))
+    points = coarse_sweep(PointSources(frame, cameras, depth_bounds, dataset_points, config.seed, lambda _: None))
     small = working_views(frame, cameras, _ROWS)
     images = np.zeros((len(cameras), *small.images.shape[1:]), np.uint8)
     images[frame.present] = (255 * small.images).round()

@@ -1,4 +1,4 @@
-"""First points in gaps: on the surface between those that are known, never before what another camera sees."""
+"""Points in gaps: on the surface between those that are known, never before what another camera sees."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from scipy.ndimage import maximum_filter
 
 from streamlod.core.arrays import Float32
 from streamlod.core.camera import Camera, look_at, pinhole
-from streamlod.core.camera.beside import views_between
 from streamlod.core.frames import PointCloud
-from streamlod.core.initialise.completion import Completion, hides, nearest_depths, spread
-from streamlod.core.initialise.views import WorkingViews, inside, pixel_centres, project, unproject
+from streamlod.core.initialise.completion import completed, hides, nearest_depths, spread
+from streamlod.core.initialise.views import WorkingViews, pixel_centres, unproject
 
 UP = np.array([0.0, 0.0, 1.0])
 WIDTH, HEIGHT = 64, 36
@@ -59,7 +58,7 @@ def test_every_cell_of_every_view_has_a_point_afterwards_and_its_colour() -> Non
     cameras = camera_at(-1.0), camera_at(1.0)
     first = unproject(cameras[0], np.array([[10.5, 10.5], [50.5, 20.5]]), np.array([3.0, 4.0])).astype(np.float32)
     points = PointCloud(first, np.ones((2, 3), np.float32))
-    found = Completion(rows=HEIGHT, shared=True).completed(points, views_of(*cameras, image=image))
+    found = completed(points, views_of(*cameras, image=image))
     np.testing.assert_array_equal(found.positions[:2], first)
     for camera in cameras:
         shown = np.isfinite(nearest_depths(found.positions, camera))
@@ -77,43 +76,18 @@ def test_no_point_hides_what_another_view_is_known_to_see() -> None:
     wall = unproject(cameras[1], grid, np.full(len(grid), 6.0))
     near = unproject(cameras[0], np.array([[2.5, 2.5], [2.5, 30.5]]), np.array([1.0, 1.0]))
     points = PointCloud(np.concatenate([wall, near]).astype(np.float32), np.ones((len(wall) + 2, 3), np.float32))
-    new = Completion(shared=True).completed(points, views_of(*cameras)).positions[len(points) :]
+    new = completed(points, views_of(*cameras)).positions[len(points) :]
     assert len(new) > 0  # camera 0 sees past the wall's end
     assert not hides(new, cameras[1], nearest_depths(points.positions, cameras[1])).any()
-
-
-def test_no_point_hides_what_is_known_to_be_seen_between_two_cameras() -> None:
-    cameras = camera_at(-1.0), camera_at(1.0)
-    column, row = np.meshgrid(np.linspace(-8, 8, 300), np.linspace(-3, 3, 100))
-    wall = np.stack([column.ravel(), np.full(column.size, 4.0), row.ravel()], axis=1)  # 6 before the cameras
-    in_hole = np.abs(project(cameras[0], wall)[0][:, 0] - WIDTH / 2) < 16
-    sides = np.array([[side, y + 0.5] for side in (15.5, 48.5) for y in range(HEIGHT)])
-    near = unproject(cameras[0], sides, np.full(len(sides), 3.0))
-    known = np.concatenate([wall[~in_hole], near]).astype(np.float32)
-    points, filling = PointCloud(known, np.ones_like(known)), Completion(rows=HEIGHT, shared=True)
-    new = filling.completed(points, views_of(*cameras)).positions
-    assert len(new) > len(known)  # across the hole, where nobody knows of the wall
-    for view in views_between(cameras, (0.25, 0.5)):
-        assert not hides(new[len(known) :], view, nearest_depths(known, view)).any()
-
-
-def test_gaps_that_two_cameras_have_in_their_pictures_are_left_to_them() -> None:
-    cameras = camera_at(-1.0), camera_at(1.0)
-    first = unproject(cameras[0], np.array([[10.5, 10.5], [50.5, 20.5]]), np.array([3.0, 4.0])).astype(np.float32)
-    points = PointCloud(first, np.ones((2, 3), np.float32))
-    new = Completion().completed(points, views_of(*cameras)).positions[2:].astype(np.float64)
-    in_pictures = np.array([inside(camera, *project(camera, new)) for camera in cameras])
-    np.testing.assert_array_equal(in_pictures.sum(axis=0), 1)
-    assert in_pictures.any(axis=1).all()  # each has some that it alone sees
 
 
 def test_a_camera_alone_gets_points_in_all_its_gaps() -> None:
     camera = camera_at(0)
     known = unproject(camera, np.array([[10.5, 10.5]]), np.array([3.0])).astype(np.float32)
-    found = Completion(rows=HEIGHT).completed(PointCloud(known, np.ones((1, 3), np.float32)), views_of(camera))
+    found = completed(PointCloud(known, np.ones((1, 3), np.float32)), views_of(camera))
     assert found.positions.shape == found.colours.shape == (1 + WIDTH * HEIGHT - 9, 3)
 
 
 def test_a_view_of_nothing_known_stays_empty() -> None:
     behind = PointCloud(np.array([[0.0, -9.0, 0.0]], np.float32), np.ones((1, 3), np.float32))
-    assert len(Completion().completed(behind, views_of(camera_at(0)))) == 1
+    assert len(completed(behind, views_of(camera_at(0)))) == 1

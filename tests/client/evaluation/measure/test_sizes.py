@@ -17,7 +17,7 @@ from streamlod.client.evaluation.measure.sizes import (
     stream_bytes,
 )
 from streamlod.codec.refresh import RefreshRule
-from streamlod.core.initialise.completion import Completion
+from streamlod.core.initialise.completion import completed
 from streamlod.core.initialise.views import working_views
 from streamlod.core.scene.residual import difference
 from streamlod.core.train import Trainer, preset
@@ -47,7 +47,7 @@ def test_estimates_are_near_but_below_real_packets(footage: Footage) -> None:
     trainer = Trainer(footage.training.cameras, shortened(preset("balanced")), 30, "cpu")
     first, second = (pair[0] for pair, _ in zip(footage.pairs(), range(2), strict=False))
     views = working_views(first, footage.training.cameras, 45)
-    points = Completion(shared=True).completed(footage.points, views)
+    points = completed(footage.points, views)
     before = trainer.keyframe(first, points).scene  # of so many anchors that the header hardly counts
     real = packet_size(None, before, None)
     assert 0.9 * real.total_bytes < shannon_keyframe_bytes(before) < 1.25 * real.total_bytes  # 1.20
