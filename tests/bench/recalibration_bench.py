@@ -3,7 +3,8 @@
     python -m tests.bench.recalibration_bench DATA [--features [--lenses FOLDER]]
 
 Without options the board in DATA is found once, and its cameras are calibrated by all pictures, each half of them,
-every second and every third, and without each camera in turn. With --features, `calibrate --features` is run on DATA,
+every second and every third, and without each camera in turn; the first is compared with DATA's own calibration, where
+there is one. With --features, `calibrate --features` is run on DATA,
 and compared with DATA's own calibration, whose units are kept: the truth of a clip of `streamlod synth`, or the file of
 caliscope. Degrees and mm of each camera, after rotations and centres are aligned, beside what is stated for the part.
 """
@@ -88,6 +89,14 @@ def by_parts(data: Path) -> None:
         print(row, flush=True)
     most = np.max(ratios, axis=0)
     print(f"at most {most[0]:.1f} times the degrees and {most[1]:.1f} times the mm that are stated")
+    try:
+        own = open_dataset(data).recording.cameras
+    except InputError as error:
+        print(f"no calibration to compare with: {error}")
+    else:
+        found = {camera.name: camera for camera in whole.cameras}
+        placed = [found[camera.name] for camera in own]
+        print_beside(own, poses_of(placed), [camera.intrinsics[0, 0] for camera in placed])
 
 
 def by_features(data: Path, lenses: Path | None) -> None:
@@ -100,13 +109,17 @@ def by_features(data: Path, lenses: Path | None) -> None:
         print(calibrate_features(data, Path(folder), apart, lenses, overwrite=True))
         print(f"in {time.perf_counter() - begin:.0f} s, {time.process_time() - used:.0f} CPU s")
         found = {each["name"]: each for each in json.loads((Path(folder) / RIG).read_text())["cameras"]}
-    placed, there = [found[camera.name] for camera in truth], poses_of(truth)
+    placed = [found[camera.name] for camera in truth]
     poses = np.array([rigid.pose(np.array(each["world_to_camera"])) for each in placed])
-    degrees, off = differences(_of_one_size(poses, there), there)
+    print_beside(truth, _of_one_size(poses, poses_of(truth)), [each["intrinsics"][0][0] for each in placed])
+
+
+def print_beside(truth: Sequence[Camera], poses: Float64, focals: Sequence[float]) -> None:
+    """Print how far cameras with `poses` [C,6] and focal lengths in pixels are from `truth`."""
+    degrees, off = differences(poses, poses_of(truth))
     print("| camera | degrees | mm | focal length, % |\n| --- | --- | --- | --- |")
-    for camera, true, *errors in zip(placed, truth, degrees, 1000 * off, strict=True):
-        focal = 100 * (camera["intrinsics"][0][0] / true.intrinsics[0, 0] - 1)
-        print(f"| {true.name} | {errors[0]:.3f} | {errors[1]:.2f} | {focal:.2f} |")
+    for true, focal, *errors in zip(truth, focals, degrees, 1000 * off, strict=True):
+        print(f"| {true.name} | {errors[0]:.3f} | {errors[1]:.2f} | {100 * (focal / true.intrinsics[0, 0] - 1):.2f} |")
     print(f"at most {degrees.max():.3f} degrees, {1000 * off.max():.2f} mm")
 
 

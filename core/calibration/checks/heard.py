@@ -22,7 +22,7 @@ def rises(samples: Int16) -> Float64:
     """[T] how much louder it gets from each millisecond to the next, of samples [N, channels] at `RATE`."""
     mono = samples[: len(samples) // _STEP * _STEP].astype(np.float64).mean(axis=1)
     loud = np.sqrt((mono.reshape(-1, _STEP) ** 2).mean(axis=1))
-    return np.maximum(np.diff(loud), 0.0)
+    return np.asarray(np.maximum(np.diff(loud), 0.0), np.float64)
 
 
 def heard_later(first: Float64, second: Float64) -> float | None:

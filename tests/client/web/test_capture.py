@@ -153,6 +153,33 @@ def test_the_page_says_how_it_films_and_what_it_cannot_hold(phone: Any) -> None:
         says(page, "Ready to film")
 
 
+def test_the_screen_is_kept_on_while_a_phone_films(phone: Any) -> None:
+    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(phone, "about:blank") as page:
+        page.add_init_script(
+            "window.locks = [];"
+            "const request = async (kind) => (locks.push(kind), { release: () => locks.push('released') });"
+            "Object.defineProperty(navigator, 'wakeLock', { value: { request } });"
+        )
+        page.goto(found.page())
+        says(page, "Ready to film")
+        assert page.evaluate("locks") == []
+        page.click("#film")
+        says(page, "Filming as phone1")
+        page.wait_for_function("locks.join() === 'screen'")
+        page.click("#film")
+        says(page, "Ready to film")
+        page.wait_for_function("locks.join() === 'screen,released'")
+
+
+def test_who_holds_a_phone_whose_screen_may_go_off_is_told(phone: Any) -> None:
+    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(phone, "about:blank") as page:
+        page.add_init_script("Object.defineProperty(navigator, 'wakeLock', { value: undefined });")
+        page.goto(found.page())
+        says(page, "Ready to film")
+        page.click("#film")
+        page.wait_for_selector("#notes li:has-text('Keep the screen on')")
+
+
 def test_a_slow_server_gets_newer_pictures_rather_than_older_ones(phone: Any) -> None:
     """While nothing is taken, pictures are left out; later ones come as quickly as before."""
     with filmed(phone, 5) as (found, page):

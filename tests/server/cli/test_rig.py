@@ -28,9 +28,9 @@ from streamlod.core.errors import InputError
 from streamlod.server.auth.gate import hash_token
 from streamlod.server.cli import rig as rig_command
 from streamlod.server.cli.check import check
-from streamlod.server.cli.rig import find, trouble_of, watch
+from streamlod.server.cli.rig import find, phones_socket, trouble_of, watch
 from streamlod.server.ingest import recording
-from streamlod.server.ingest.cameras.definition import read_definition
+from streamlod.server.ingest.cameras.definition import read_definition, read_uncalibrated
 from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
 from streamlod.server.service.station import station
 from streamlod.server.settings import Settings, load_settings
@@ -217,6 +217,23 @@ def test_a_phones_link_is_good_for_the_servers_that_follow(tmp_path: Path) -> No
                     node.recv(60)
                 codes.append(caught.value.rcvd and caught.value.rcvd.code)
         assert codes == [1013, 4401], "let in, but no rig takes pictures; not let in"
+
+
+def test_a_phones_page_is_drawn_as_a_code_that_a_camera_reads(tmp_path: Path) -> None:
+    found(tmp_path, phones=2)
+    here = {"host": "127.0.0.1", "port": 0, "certificate": None, "certificate_key": None}
+    settings = load_settings(tmp_path / "rig.toml").model_copy(update=here)
+    said: list[str] = []
+    with ExitStack() as stack:
+        phones_socket(tmp_path / "rig.json", read_uncalibrated(tmp_path / "rig.json"), settings, stack, said.append)
+    *code, named = said[0].splitlines()
+    light = {"█": (255, 255), "▀": (255, 0), "▄": (0, 255), " ": (0, 0)}  # of a letter's upper and lower half
+    rows = [[light[letter] for letter in re.sub(r"\x1b\[[0-9;]*m", "", line)] for line in code if line]
+    picture = np.array(rows, np.uint8).transpose(0, 2, 1).reshape(2 * len(rows), -1)
+    read, *_ = cv2.QRCodeDetector().detectAndDecode(cv2.resize(picture, None, fx=8, fy=8, interpolation=0))
+    assert read
+    assert named.endswith(f": {read}")
+    assert read.endswith("/capture")
 
 
 @pytest.mark.long
