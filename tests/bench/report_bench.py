@@ -1,10 +1,10 @@
 """The page docs/results.md: what streamlod achieves, measured now, with date, commit and machine.
 
     streamlod bench report --out FOLDER [--scenes theatre outdoor] [--presets live balanced quality] [--seeds 2]
-        [--views 5] [--frames 8] [--page docs/results.md]
+        [--views 5] [--frames 8] [--photographs fountain] [--data DATA] [--page docs/results.md]
 
-Scenes are those of the zoo's reporting half, on which nothing was chosen. Goes on where it was stopped: what FOLDER
-holds of the same program is not measured again.
+Scenes are those of the zoo's reporting half, on which nothing was chosen. Photographs are looked for under --data or
+STREAMLOD_DATA. Goes on where it was stopped: what FOLDER holds of the same program is not measured again.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from streamlod.client.evaluation.report.tables import number, table
 from streamlod.core.arrays import UInt8
 from streamlod.core.files import write_text
 from streamlod.core.options import PRESETS
+from tests.bench.report_photographs import photograph_options, photographs
 from tests.bench.zoo.cells import CellKey, Cells, program_digest
 from tests.bench.zoo.run import ZooOptions, picture_name, run_zoo
 
@@ -46,12 +47,15 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--views", type=int, default=5)
     parser.add_argument("--frames", type=int, default=8)
+    parser.add_argument("--photographs", nargs="*", default=["fountain"], help="first frames alone")
+    parser.add_argument("--data", type=Path, default=os.environ.get("STREAMLOD_DATA"), help="folder of recordings")
     parser.add_argument("--page", type=Path, help="also write the page here")
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    data = os.environ.get("STREAMLOD_DATA")
     for preset in options.presets:
-        run_zoo(Path(data) if data else None, options.out, zoo(options, preset))
+        run_zoo(options.data, options.out, zoo(options, preset))
+    if options.photographs:
+        run_zoo(options.data, options.out, photograph_options(options.photographs, options.seeds, DOWNSCALE))
     found = Found(options, Cells(options.out / "cells.jsonl", program_digest()))
     text = page(found)
     if options.page:
@@ -114,7 +118,7 @@ the reporting half of the zoo, on which nothing was chosen. Older figures, with 
 [history](history/README.md).
 
 {table(head, rows)}
-## Levels
+{photographs(found.cells, options.photographs, options.seeds)}## Levels
 
 PSNR of the first seed's last frame for a viewer who has its coarsest level alone, that and the next, and so on to the
 whole.
@@ -177,7 +181,8 @@ def mean(frames: Iterable[dict[str, Any]], name: str) -> float | None:
 def command() -> str:
     """The command that runs, without its folders."""
     given = sys.argv[1:]
-    hidden = {index + step for index, word in enumerate(given) if word in {"--out", "--page"} for step in (0, 1)}
+    folders = [index for index, word in enumerate(given) if word in {"--out", "--page", "--data"}]
+    hidden = {index + step for index in folders for step in (0, 1)}
     words = [word for index, word in enumerate(given) if index not in hidden]
     return " ".join(["streamlod bench report --out FOLDER", *words])
 

@@ -17,6 +17,7 @@ from streamlod.core.synthetic import SyntheticSpec
 from streamlod.core.synthetic.spec import cameras as cameras_of
 from streamlod.core.train import preset
 from tests.bench.report_bench import Found, page, worst_pictures
+from tests.bench.report_photographs import photographs
 from tests.bench.zoo.cells import CellKey, Cells, program_digest
 from tests.bench.zoo.run import ZooOptions, run_zoo
 from tests.bench.zoo.scenes import SCENES, view_counts
@@ -71,12 +72,15 @@ def test_pictures_and_report_lie_beside_the_cells(out: Path) -> None:
 
 @pytest.mark.long
 def test_the_page_of_results_shows_levels_and_the_worst_run(out: Path) -> None:
-    options = Namespace(scenes=["bright"], presets=["live"], views=3, frames=2, seeds=1, out=out)
+    options = Namespace(
+        scenes=["bright"], presets=["live"], views=3, frames=2, seeds=1, out=out, photographs=["castle"]
+    )
     found = Found(options, Cells(out / "cells.jsonl", program_digest()))
     ours = lines(out)[0]["figures"]
     text = page(found)
     assert f"| bright | `live` | {', '.join(f'{value:.1f}' for value in ours['levels'])} |" in text
     assert "bright `live` seed 0." in text
+    assert "Photographs" not in text  # none was measured
     assert worst_pictures(found).shape == (36, 3 * 64, 3)
 
 
@@ -161,6 +165,24 @@ def test_a_line_that_was_cut_off_is_measured_again(tmp_path: Path) -> None:
     assert key("plain") not in cells
     cells.add(key("plain"), cell(28))
     assert Cells(path, "now").get(key("plain")) == cell(28)
+
+
+def test_photographs_stand_beside_plain_gaussians(tmp_path: Path) -> None:
+    cells = Cells(tmp_path / "cells.jsonl", "now")
+    at = {"at": {"0001": {"psnr_fitted": 36.0}, "0002": {"psnr_fitted": 35.0}}}
+    for seed, psnr in ((0, 30.0), (1, 32.0)):
+        cells.add(key("ours", "fountain", seed), photographed(psnr) | {"places": at})
+        cells.add(key("plain", "fountain", seed), photographed(29.0))
+    section = photographs(cells, ["castle", "fountain"], 2)
+    assert "| fountain | 3 | 31.0 | 0.900 | 35.5 | 40 | 29.0 | 0.900 | - | 10 |" in section
+    assert "castle" not in section
+    assert photographs(cells, ["castle"], 2) == ""
+
+
+def photographed(psnr: float) -> dict[str, Any]:
+    found = cell(psnr)
+    found["frames"][0]["bytes"] = 40_000
+    return found
 
 
 def test_another_file_is_refused(tmp_path: Path) -> None:
