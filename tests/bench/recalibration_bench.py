@@ -15,14 +15,17 @@ import argparse
 import json
 import tempfile
 import time
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from streamlod.core.arrays import Float64
 from streamlod.core.calibration.adjustment import rigid
+from streamlod.core.calibration.adjustment.observations import Observations
 from streamlod.core.calibration.board.seen import board_as_seen, track_of
 from streamlod.core.calibration.files import RIG
 from streamlod.core.calibration.solve import Calibration, calibrate
@@ -30,6 +33,7 @@ from streamlod.core.calibration.track import Track
 from streamlod.core.calibration.walk import open_walk
 from streamlod.core.camera import Camera
 from streamlod.core.data import open_dataset
+from streamlod.core.data.lens import opencv_matrix
 from streamlod.core.errors import InputError
 from streamlod.server.cli.calibrate import board_of
 from streamlod.server.cli.calibrate_features import calibrate_features
@@ -97,6 +101,36 @@ def by_parts(data: Path) -> None:
         found = {camera.name: camera for camera in whole.cameras}
         placed = [found[camera.name] for camera in own]
         print_beside(own, poses_of(placed), [camera.intrinsics[0, 0] for camera in placed])
+        theirs = {camera.name: camera for camera in own}
+        for which, cameras in ("found", whole.cameras), ("own", [theirs[camera.name] for camera in whole.cameras]):
+            missed = ", ".join(f"{each:.2f}" for each in triangulated(whole.seen, cameras))
+            print(f"corners of one time, each placed by the cameras that are {which}: missed by {missed} px")
+
+
+def triangulated(seen: Observations, cameras: Sequence[Camera]) -> Float64:
+    """[C] root mean square of pixels by which cameras miss corners, each placed in space by all that saw it.
+
+    Nothing is left out, and no corner is told where the board's others are, so that this is more than `rms px`.
+    """
+    lenses = [(opencv_matrix(camera), np.asarray(camera.distortion)) for camera in cameras]
+    rays = np.zeros_like(seen.value)
+    for number, lens in enumerate(lenses):
+        mine = seen.camera == number
+        rays[mine] = cv2.undistortPoints(seen.value[mine][:, None], *lens)[:, 0]
+    same = defaultdict[tuple[float, ...], list[int]](list)
+    for row, (instant, point) in enumerate(zip(seen.instant, np.round(seen.point, 6), strict=True)):
+        same[instant, *point].append(row)
+    missed = defaultdict[int, list[float]](list)
+    for rows in (rows for rows in same.values() if len(rows) > 1):
+        to_camera = [cameras[seen.camera[row]].world_to_camera[:3] for row in rows]
+        planes = [rays[row, axis] * pose[2] - pose[axis] for row, pose in zip(rows, to_camera, strict=True)
+                  for axis in (0, 1)]  # fmt: skip
+        place = np.linalg.svd(np.array(planes))[2][-1]
+        for row, pose in zip(rows, to_camera, strict=True):
+            number = int(seen.camera[row])
+            shown, _ = cv2.projectPoints(pose @ place / place[3], np.zeros(3), np.zeros(3), *lenses[number])
+            missed[number].append(float(((shown.ravel() - seen.value[row]) ** 2).sum()))
+    return np.array([np.sqrt(np.mean(missed[number])) for number in range(len(cameras))])
 
 
 def by_features(data: Path, lenses: Path | None) -> None:
