@@ -14,7 +14,6 @@ from streamlod.core.errors import InputError
 
 if TYPE_CHECKING:
     from streamlod.core.calibration.checks.clocks import Clock
-    from streamlod.core.calibration.checks.finding import RigFinding
     from streamlod.core.calibration.checks.report import RigCheck
     from streamlod.core.frames import FrameSet
     from streamlod.server.ingest.statistics import Statistics
@@ -76,6 +75,7 @@ def _live(file: Path, settings: Settings, say: Say) -> RigCheck:
     from streamlod.core.calibration.checks.finding import fact, weak
     from streamlod.core.calibration.checks.report import examine
     from streamlod.core.render.backends import cuda_fault
+    from streamlod.server.cli.capture_times import judged_times
     from streamlod.server.cli.pace import judged_pace
     from streamlod.server.cli.rig import phones_socket
     from streamlod.server.cli.room import judged_room
@@ -106,7 +106,7 @@ def _live(file: Path, settings: Settings, say: Say) -> RigCheck:
     if not frames and not partial:
         raise InputError(file, f"gave no instant within {seconds:.0f} s; see that its cameras run")
     found = examine(rig.undistortions, frames or list(partial))
-    more = [] if told is None else _timed(told, rig.fps)
+    more = [] if told is None else judged_times(told, rig.fps)
     if cuda_fault() is not None:
         more += judged_pace([plan.camera for plan in rig.undistortions], usable_cores())
     if told is not None and told.sound is not None:
@@ -114,15 +114,3 @@ def _live(file: Path, settings: Settings, say: Say) -> RigCheck:
         silent = told.sound or ("" if heard.is_set() else f"no sound of {name}: it sent none within {seconds:.0f} s")
         more.append(weak(silent) if silent else fact(f"the sound of {name} is heard"))
     return replace(found, findings=(*found.findings, *more, *judged_room(settings)))
-
-
-def _timed(told: Statistics, fps: float) -> list[RigFinding]:
-    """Cameras whose capture times may be off by more than half a frame."""
-    from streamlod.core.calibration.checks.finding import weak
-
-    sentence = "{}: its capture times may be off by {:.0f} ms, more than half a frame; they rest on {} (docs/ingest.md)"
-    return [
-        weak(sentence.format(name, one.error_ns / 1e6, one.clock_source))
-        for name, one in told.cameras.items()
-        if one.error_ns > 0.5e9 / fps
-    ]

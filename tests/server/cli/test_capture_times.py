@@ -1,0 +1,21 @@
+"""What `check` says of live cameras' times."""
+
+from streamlod.server.cli.capture_times import judged_times
+from streamlod.server.ingest.statistics import CameraStatistics, Statistics
+from streamlod.server.ingest.sync.clock import ClockSource
+from streamlod.server.ingest.sync.synchroniser import CameraState, Counts
+
+
+def test_a_camera_whose_times_may_be_off_by_more_than_half_a_frame_is_named() -> None:
+    errors_ms = {"door": (3, ClockSource.NTP), "phone1": (16, ClockSource.STATED), "old": (40, ClockSource.ARRIVAL)}
+    cameras = {
+        name: CameraStatistics(CameraState.OK, source, error * 1_000_000, 0.0, Counts(), 1, "")
+        for name, (error, source) in errors_ms.items()
+    }
+    told = Statistics(False, False, 0, 0, 0, 0, 0, cameras)
+    (weak,) = judged_times(told, 30.0)
+    assert weak.severity == "weak"
+    assert weak.sentence == (
+        "old: its capture times may be off by 40 ms, more than half a frame; they rest on arrival (docs/ingest.md)"
+    )
+    assert len(judged_times(told, 60.0)) == 2
