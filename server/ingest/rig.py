@@ -311,7 +311,7 @@ class Rig:
         with self._change:
             now = self._clock_ns()
             states, counts = self._synchroniser.states(now), self._synchroniser.counts()
-            silences = self._synchroniser.silences_ns(now)
+            silences, time_faults = self._synchroniser.silences_ns(now), self._synchroniser.time_faults()
             cameras = {}
             for name, last in self._last.items():
                 clock, connections = clocks.get(name, (None, last.claims))
@@ -328,6 +328,7 @@ class Rig:
                     last.shift,
                     last.knocked,
                     silences[name],
+                    time_faults[name],
                 )
             return Statistics(
                 self._synchroniser.is_degraded(now),

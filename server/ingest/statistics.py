@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from streamlod.server.ingest.sync.clock import ClockSource
 from streamlod.server.ingest.sync.synchroniser import CameraState, Counts
+from streamlod.server.ingest.sync.time_fault import TimeFault
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +24,7 @@ class CameraStatistics:
         shift: how far what it sees has moved since it is read, in pixels at a width of 1000; None where not known.
         knocked: whether it was; then it is not trained on.
         silent_ns: how long no picture has come; None before the first, and after the camera has gone.
+        time_fault: what has been wrong with its pictures' times for seconds; None where nothing is.
     """
 
     state: CameraState
@@ -36,6 +38,7 @@ class CameraStatistics:
     shift: float | None = None
     knocked: bool = False
     silent_ns: int | None = None
+    time_fault: TimeFault | None = None
 
 
 @dataclass(frozen=True, slots=True)

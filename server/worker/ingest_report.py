@@ -4,13 +4,23 @@ from __future__ import annotations
 
 from typing import Any
 
+from streamlod.server.ingest.sync.clock import PLAUSIBLE_NS
 from streamlod.server.ingest.sync.synchroniser import CameraState
+from streamlod.server.ingest.sync.time_fault import TimeFault
 
+_TIME_FAULTS = {
+    TimeFault.STILL: "times stand still: restart it; until then the stream goes on without it",
+    TimeFault.BACK: "times run backwards: restart it; until then the stream goes on without it",
+    TimeFault.FAR: "times are far from those of the other cameras: set its clock (NTP); until then the stream goes on "
+    "without it",
+    TimeFault.UNSET: f"clock is {PLAUSIBLE_NS // 10**9} s off or more: set it (NTP); until then its pictures are timed "
+    "by their arrival",
+}
 _SILENT_NS = 5_000_000_000  # of a camera whose connection stands: on a busy machine pictures stay away for seconds
 
 
 def complaint(figures: dict[str, Any]) -> str:
-    """Sentences about cameras that deliver nothing usable or whose poses do not hold; empty where all is well.
+    """Sentences about cameras that deliver nothing usable, or whose times or poses are wrong; empty where all is well.
 
     Args:
         figures: `server.ingest.statistics.Statistics` in JSON, as `Tag.INGEST` has them.
@@ -24,6 +34,11 @@ def complaint(figures: dict[str, Any]) -> str:
         f"camera {name} was knocked: put it back or calibrate again; until then the stream goes on without it"
         for name, one in cameras.items()
         if name not in lost and one.get("knocked")
+    ]
+    parts += [
+        f"camera {name}'s {_TIME_FAULTS[TimeFault(one['time_fault'])]}"
+        for name, one in cameras.items()
+        if name not in lost and one.get("time_fault")
     ]
     parts += figures.get("poses", ())
     if lost:

@@ -6,7 +6,7 @@ code in the picture, a hardware frame number of a genlocked rig, and the arrival
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from fractions import Fraction
 
@@ -34,11 +34,13 @@ class ClockSource(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CaptureTime:
-    """When a picture was taken, nanoseconds since 1970; from which evidence; how far it may be off."""
+    """When a picture was taken, nanoseconds since 1970; from which evidence; how far it may be off; and whether it does
+    not rest on the time that its sender told, as that is seconds off ours."""
 
     capture_ns: int
     source: ClockSource
     error_ns: int
+    is_clock_off: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +102,8 @@ class CaptureClock:
             patience = _PATIENCE_NS if self._expects_ntp and not self._sender else _WARM_UP_NS
             if seen.arrival_ns - self._since_ns < patience:
                 return None
-            found = arrival
+            is_told = bool(self._sender) or seen.stated_ns is not None or seen.timecode_ns is not None
+            found = replace(arrival, is_clock_off=is_told)
         self._source = found.source
         return found
 

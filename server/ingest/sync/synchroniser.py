@@ -14,6 +14,7 @@ from statistics import median_low
 
 from streamlod.core.camera.grid import Grid, best_phase, period_of, phase_of
 from streamlod.server.ingest.sync.picture import Picture
+from streamlod.server.ingest.sync.time_fault import TimeFault, TimeWatch
 
 _SECOND_NS = 1_000_000_000
 _AHEAD_NS = _SECOND_NS  # a picture this much earlier than its camera rig's usual delay has a wrong time
@@ -83,6 +84,7 @@ class _Track:
     is_late: bool = False
     is_back: bool = False  # after a silence; what is known of its phase may hold no more
     turn: complex = 0
+    times: TimeWatch = field(default_factory=TimeWatch)
     held: deque[Picture] = field(default_factory=lambda: deque(maxlen=_HELD))
 
 
@@ -156,6 +158,10 @@ class Synchroniser:
         came = {name: track.arrived_ns for name, track in self._tracks.items()}
         return {name: None if at_ns is None else now_ns - at_ns for name, at_ns in came.items()}
 
+    def time_faults(self) -> dict[str, TimeFault | None]:
+        """The fault of each camera's times; None where there is none, or not for long."""
+        return {name: track.times.fault() for name, track in self._tracks.items()}
+
     def is_degraded(self, now_ns: int) -> bool:
         """Whether some camera is lost."""
         return CameraState.LOST in self.states(now_ns).values()
@@ -180,11 +186,13 @@ class Synchroniser:
         track.is_back = track.is_back or self._state(track, now_ns) is CameraState.LOST
         track.arrived_ns = now_ns
         track.delay_ns = now_ns - picture.capture_ns
+        is_stray = self._grid is not None and self._is_stray(track, now_ns)
+        track.times.note(picture, now_ns, is_far=is_stray)
         if self._grid is None:
             self._began_ns = now_ns if self._began_ns is None or not track.held else self._began_ns
             track.held.append(picture)
             return self._begin(now_ns)
-        if self._is_stray(track, now_ns):
+        if is_stray:
             return ready + self._restart_if_all_strayed(now_ns)
         if track.is_back:
             ready += self._welcome(track, picture, now_ns)

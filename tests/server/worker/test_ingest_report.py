@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from streamlod.server.ingest.sync.time_fault import TimeFault
 from streamlod.server.worker.ingest_report import complaint
 
 
@@ -29,6 +30,22 @@ def test_a_knocked_camera_is_named_with_what_to_do_and_not_when_it_is_lost_as_we
     )
     lost = _camera("lost", "Connection refused") | {"knocked": True}
     assert complaint({"cameras": {"cam1": lost}}) == "camera cam1 is lost (Connection refused)"
+
+
+def test_a_camera_with_wrong_times_is_named_with_what_to_do_and_not_when_it_is_lost_as_well() -> None:
+    said = {
+        "still": "times stand still: restart it",
+        "back": "times run backwards: restart it",
+        "far": "times are far from those of the other cameras: set its clock (NTP)",
+        "unset": "clock is 5 s off or more: set it (NTP)",
+    }
+    assert set(said) == set(TimeFault)
+    for fault, words in said.items():
+        wrong = {"cam1": _camera(), "cam2": _camera("late") | {"time_fault": fault}}
+        assert complaint({"cameras": wrong}).startswith(f"camera cam2's {words}; until then ")
+        wrong["cam2"] |= {"state": "lost", "fault": "Connection refused"}
+        assert complaint({"cameras": wrong}) == "camera cam2 is lost (Connection refused)"
+    assert complaint({"cameras": {"cam2": _camera() | {"time_fault": None}}}) == ""
 
 
 def test_a_silence_is_worth_a_word_after_five_seconds_and_a_fault_or_no_picture_at_all_is_at_once() -> None:

@@ -10,7 +10,8 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from websockets.exceptions import ConnectionClosed
 
 from streamlod.core.errors import InputError, SessionError
 from streamlod.core.frames import FrameSet
+from streamlod.server.ingest.cameras.definition import read_definition
 from streamlod.server.ingest.live import LiveDataset, open_live
 from streamlod.server.ingest.push.intake import Intake
 from streamlod.server.ingest.push.message import (
@@ -39,12 +41,16 @@ from streamlod.server.ingest.push.message import (
     parse_push,
 )
 from streamlod.server.ingest.push.relay import RelayedIntake, listening
+from streamlod.server.ingest.rig import Rig
 from streamlod.server.ingest.sync.clock import ClockSource
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import CameraState
+from streamlod.server.worker.ingest_report import complaint
 from tests.server.ingest.push.serving import relayed, serving_push
 from tests.server.ingest.rig import FPS, HEIGHT, WIDTH, burnt, number_of, write_definition
 from tests.server.ingest.together import load_together
+
+SECOND = 1_000_000_000
 
 
 def encoded(number: int, suffix: str = ".png") -> bytes:
@@ -262,6 +268,37 @@ def test_what_a_node_was_refused_goes_with_it(tmp_path: Path) -> None:
         "cam0": ("", ""),
         "cam1": ("", "its phone or capture node has disconnected"),
     }
+
+
+@pytest.mark.parametrize(
+    ("clock", "words"),
+    [
+        (lambda ns, begin_ns: begin_ns, "camera cam1's times stand still: restart it"),
+        (lambda ns, begin_ns: 2 * begin_ns - ns, "camera cam1's times run backwards: restart it"),
+        (lambda ns, begin_ns: ns + 3 * SECOND, "camera cam1's times are far from those of the other cameras: set its"),
+        (lambda ns, begin_ns: ns - 3600 * SECOND, "camera cam1's clock is 5 s off or more: set it (NTP)"),
+    ],
+)
+def test_a_node_whose_clock_is_wrong_is_named_until_it_is_well_again(
+    tmp_path: Path, clock: Callable[[int, int], int], words: str
+) -> None:
+    names = ("cam0", "cam1", "cam2")
+    rig = Rig(read_definition(write_definition(tmp_path, ["push:"] * 3, {"quorum": 2})), names)
+    node, begin_ns, numbers = Intake(rig), rig.now_ns, itertools.count()
+
+    def said(is_wrong: bool) -> str:
+        """What is said after another picture of each camera."""
+        number, now_ns = next(numbers), rig.now_ns
+        for camera in names:
+            told_ns = clock(now_ns, begin_ns) if is_wrong and camera == "cam1" else now_ns
+            node.accept(message(number, camera, told_ns))
+        return complaint(json.loads(json.dumps(asdict(rig.statistics()))))
+
+    for is_wrong, beginning in ((False, ""), (True, words), (False, "")):
+        end_ns = rig.now_ns + 30 * SECOND
+        while not (sentence := said(is_wrong)).startswith(beginning) or (sentence and not beginning):
+            assert rig.now_ns < end_ns, sentence
+            time.sleep(0.02)
 
 
 def test_a_damaged_picture_counts_as_missing(tmp_path: Path) -> None:

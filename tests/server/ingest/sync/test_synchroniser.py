@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from streamlod.server.ingest.sync.clock import ClockSource
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import CameraState, Instant, Synchroniser
+from streamlod.server.ingest.sync.time_fault import TimeFault
 
 MS = 1_000_000
 PERIOD = 33_333_333  # 30 fps
@@ -211,6 +213,32 @@ def test_one_clock_stepped_by_an_hour_is_kept_out_and_the_others_go_on() -> None
     assert synchroniser.counts()["c0"].stray == 60
     assert synchroniser.steps == 0
     assert all(None not in instant.pictures for instant in instants[-50:])
+
+
+@pytest.mark.parametrize(
+    ("told", "fault"),
+    [
+        (lambda k: 60, TimeFault.STILL),
+        (lambda k: 120 - k, TimeFault.BACK),
+        (lambda k: k + 90, TimeFault.FAR),
+        (lambda k: 60 if k < 110 else k, None),  # stood for less than two seconds
+        (lambda k: k ^ 1, None),  # two and two in the wrong order, as a network may bring them
+    ],
+)
+def test_times_that_stand_run_backwards_or_are_far_off_are_told_while_they_do(
+    told: Callable[[int], int], fault: TimeFault | None
+) -> None:
+    """The camera's clock is well for two seconds, then `told` gives its times in periods, from which it recovers."""
+    wrong = [
+        (arrival, camera, UTC + told(k) * PERIOD if camera == "c2" and k >= 60 else capture)
+        for arrival, camera, capture in filmed(4, 180)
+        for k in [(capture - UTC) // PERIOD]
+    ]
+    synchroniser, instants, _ = Film(NAMES, wrong).run(quorum=3)
+    check(instants)
+    assert synchroniser.time_faults() == {"c0": None, "c1": None, "c2": fault, "c3": None}
+    synchroniser, _, _ = Film(NAMES, wrong + filmed(4, 2, start=180)).run(quorum=3)
+    assert set(synchroniser.time_faults().values()) == {None}
 
 
 @pytest.mark.parametrize("step", [HOUR, -HOUR])
