@@ -1,7 +1,7 @@
 """First frame where viewers stand: at every camera that trains, beside each, and at the held-out one, against plain.
 
     python -m tests.bench.fit_at_cameras DATA [--downscale 2 --preset live --frame 0 --seeds 1 --plain]
-    python -m tests.bench.fit_at_cameras wide:room      (four cameras 25 to 50 degrees apart round a synthetic place)
+    python -m tests.bench.fit_at_cameras wide:room[:20] (four cameras 50 or 20 degrees apart round a synthetic place)
 
 Without `--test` all cameras train. Prints PSNR as shown, at the best exposure, and SSIM at each place; beside the
 cameras only for synthetic data, of which it is known what is seen there. `--plain` trains plain Gaussians on the same
@@ -39,7 +39,7 @@ from streamlod.core.synthetic import SyntheticSpec, read_spec, render_view
 from streamlod.core.train import TrainConfig, Trainer, preset
 from tests.bench.zoo.plain import PlainGaussians, plain_views
 
-_ANGLES = (-75.0, -25.0, 25.0, 75.0)  # degrees, of the wide rig round what it looks at
+_PLACES = (-1.5, -0.5, 0.5, 1.5)  # of the wide rig round what it looks at, in steps
 _RADIUS, _FOCAL, _HEIGHT = 2.5, 0.6, (1.75, 1.25)
 
 
@@ -86,13 +86,16 @@ def recorded(data: Path, downscale: float, index: int, views: int | None, test: 
     return Subject(cameras, training, points, held_out, read_spec(data), dataset.space, dataset.fps)
 
 
-def wide(kind: str, downscale: float) -> Subject:
-    """Four cameras far apart round the target of a synthetic place, as phones round a person."""
+def wide(kind: str, downscale: float, apart: float = 50.0) -> Subject:
+    """Four cameras, `apart` degrees one from the next, round the target of a synthetic place, as phones round a person.
+
+    They stand at two heights in turn, so that neighbours are some degrees further apart than that.
+    """
     width, height = round(640 / downscale), round(360 / downscale)
-    spec = SyntheticSpec(kind=kind, cameras=len(_ANGLES), width=width, height=height)
+    spec = SyntheticSpec(kind=kind, cameras=len(_PLACES), width=width, height=height)
     target = np.array(spec.place.rig.target)
     cameras = []
-    for number, angle in enumerate(np.radians(_ANGLES)):
+    for number, angle in enumerate(np.radians(apart) * np.array(_PLACES)):
         aside = _RADIUS * np.array([np.sin(angle), -np.cos(angle), 0.0])
         eye = np.array([*(target + aside)[:2], _HEIGHT[number % 2]])
         pose = look_at(eye, target, np.array([0.0, 0.0, 1.0]))
@@ -147,7 +150,7 @@ def save(label: str, picture: Callable[[Camera], UInt8], subject: Subject, folde
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("data", help="a recording, or wide:KIND")
+    parser.add_argument("data", help="a recording, or wide:KIND[:DEGREES]")
     parser.add_argument("--downscale", type=float, default=2)
     parser.add_argument("--preset", default="live")
     parser.add_argument("--frame", type=int, default=0)
@@ -159,7 +162,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     if options.data.startswith("wide:"):
-        subject = wide(options.data.removeprefix("wide:"), options.downscale)
+        kind, _, apart = options.data.removeprefix("wide:").partition(":")
+        subject = wide(kind, options.downscale, float(apart or 50))
     else:
         chosen = options.downscale, options.frame, options.views, tuple(options.test)
         subject = recorded(Path(options.data), *chosen)
