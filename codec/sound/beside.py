@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import re
 import stat
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from streamlod.core.errors import InputError
 
 BEGIN_COMMENT = "STREAMLOD_BEGIN_NS"
+CAMERA_COMMENT = "STREAMLOD_CAMERA"
+MAX_CAMERA_NAME = 255  # characters
 MAX_TIME_NS = 2**63 - 1
 MEDIA_TYPE = "audio/ogg"
 _HEAD_BYTES = 4096  # both headers and their pages, where comments are as short as ours
 _HEAD = re.compile(rb"OggS\0.{21}\x01\x13OpusHead\x01([\x01\x02])", re.DOTALL)
 _BEGIN = re.compile(BEGIN_COMMENT.encode() + rb"=([0-9]{1,19})(?![0-9])", re.IGNORECASE)
+_CAMERA = re.compile(CAMERA_COMMENT.encode() + rb'=("(?:[^"\\]|\\.)*")', re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +32,7 @@ class SoundFile:
         begin_ns: time of its first sample, on the clock of the packets' times.
         channels: 1 or 2.
         size_bytes, changed_ns: of the file when it was looked at.
+        camera: name of the camera at which the microphone stood; None where that is not known.
     """
 
     path: Path
@@ -33,6 +40,11 @@ class SoundFile:
     channels: int
     size_bytes: int
     changed_ns: int
+    camera: str | None = None
+
+    def facts(self, *, live: bool) -> dict[str, Any]:
+        """Facts that viewers are told, as in docs/protocol.md."""
+        return {"begin_ns": self.begin_ns, "channels": self.channels, "live": live, "camera": self.camera}
 
 
 def sound_beside(slod: Path) -> Path:
@@ -61,7 +73,22 @@ def look_at_sound(path: Path) -> SoundFile:
     begin_ns = 0 if begin is None else int(begin[1])
     if begin_ns > MAX_TIME_NS:
         raise InputError(path, f"says that it begins at {begin_ns} ns, which no clock shows")
-    return SoundFile(path, begin_ns, found[1][0], status.st_size, status.st_mtime_ns)
+    return SoundFile(path, begin_ns, found[1][0], status.st_size, status.st_mtime_ns, _camera_in(head))
+
+
+def comments(begin_ns: int, camera: str | None) -> dict[str, str]:
+    """The comments of a file of sound; the name is a JSON string, as that says where it ends."""
+    begin = {BEGIN_COMMENT: str(begin_ns)}
+    return begin if camera is None else begin | {CAMERA_COMMENT: json.dumps(camera)}
+
+
+def _camera_in(head: bytes) -> str | None:
+    found = _CAMERA.search(head)
+    with suppress(ValueError):  # no JSON: it is not ours
+        name = None if found is None else json.loads(found[1])
+        if name and len(name) <= MAX_CAMERA_NAME and name.isprintable():
+            return str(name)
+    return None
 
 
 def find_sound(slod: Path) -> SoundFile | None:

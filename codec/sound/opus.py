@@ -11,7 +11,7 @@ import av
 import av.audio.stream
 import numpy as np
 
-from streamlod.codec.sound.beside import BEGIN_COMMENT
+from streamlod.codec.sound.beside import comments
 from streamlod.core.arrays import Int16
 from streamlod.core.errors import InputError
 from streamlod.core.files import written_whole
@@ -21,13 +21,14 @@ BITS_A_SECOND = {1: 64_000, 2: 96_000}
 LAYOUTS = {1: "mono", 2: "stereo"}
 
 
-def write_sound(path: Path, blocks: Iterable[Int16], channels: int, begin_ns: int) -> None:
+def write_sound(path: Path, blocks: Iterable[Int16], channels: int, begin_ns: int, camera: str | None = None) -> None:
     """Write a whole file of sound, which appears when it is complete.
 
     Args:
         blocks: samples [N, channels] at 48 kHz, in order.
         channels: 1 or 2.
         begin_ns: time of the first sample, on the clock of the packets' times.
+        camera: at which the microphone stood, if at one.
 
     Raises:
         InputError: it cannot be written; what was there before stays.
@@ -41,7 +42,7 @@ def write_sound(path: Path, blocks: Iterable[Int16], channels: int, begin_ns: in
             stream.layout, stream.format = LAYOUTS[channels], "s16"
             stream.bit_rate = BITS_A_SECOND[channels]
             stream.options = {"frame_duration": "20"}
-            stream.metadata[BEGIN_COMMENT] = str(begin_ns)
+            stream.metadata.update(comments(begin_ns, camera))
             at = 0
             for block in blocks:
                 container.mux(stream.encode(audio_frame(block, at)))

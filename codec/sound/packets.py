@@ -11,7 +11,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
-from streamlod.codec.sound.beside import BEGIN_COMMENT, look_at_sound
+from streamlod.codec.sound.beside import comments, look_at_sound
 from streamlod.core.errors import InputError
 from streamlod.core.files import put_in_place, temporary_beside
 
@@ -92,10 +92,10 @@ def write_packets(path: Path, settings: OpusSettings, packets: Iterable[OpusPack
         temporary.unlink(missing_ok=True)
 
 
-def sound_file(settings: OpusSettings, packets: Sequence[OpusPacket]) -> bytes:
-    """The same as bytes; at least one packet."""
+def sound_file(settings: OpusSettings, packets: Sequence[OpusPacket], camera: str | None = None) -> bytes:
+    """The same as bytes; at least one packet. `camera`: at which the microphone stood, if at one."""
     file = BytesIO()
-    writer = PacketWriter(file, settings, packets[0].time)
+    writer = PacketWriter(file, settings, packets[0].time, camera)
     for each in packets:
         writer.append(each)
     writer.close()
@@ -109,12 +109,13 @@ class PacketWriter:
         path: of the file; or a buffer.
         settings: of the packets.
         begin: time of the first packet, as of `OpusPacket`.
+        camera: at which the microphone stood, if at one.
 
     Raises:
         OSError: it cannot be written.
     """
 
-    def __init__(self, path: Path | BinaryIO, settings: OpusSettings, begin: int) -> None:
+    def __init__(self, path: Path | BinaryIO, settings: OpusSettings, begin: int, camera: str | None = None) -> None:
         import av
 
         self._begin, self._settings = begin, settings
@@ -126,7 +127,7 @@ class PacketWriter:
             self._stream.layout = "mono" if settings.channels == 1 else "stereo"
             head = _HEAD.pack(_MAGIC, 1, settings.channels, settings.pre_skip, _RATE, settings.gain, 0)
             self._stream.codec_context.extradata = head
-            self._stream.metadata[BEGIN_COMMENT] = str(max(0, round(begin * 10**9 / _RATE)))
+            self._stream.metadata.update(comments(max(0, round(begin * 10**9 / _RATE)), camera))
         except (av.FFmpegError, ValueError) as error:
             raise OSError(str(error)) from error
 

@@ -121,7 +121,7 @@ async def sound(
         packets = await stream.sound_track.packets(from_ns, to_ns)
         if packets is None:
             raise Problem(404, "the stream has no sound, or none of these times")
-        data = await asyncio.to_thread(sound_file, *packets)
+        data = await asyncio.to_thread(sound_file, *packets, stream.sound_track.camera)
         return respond(request, Download((data,), digest(data), MEDIA_TYPE, FRESH, f"{stream.id}.opus"))
     state = f"{stream.id} {found.changed_ns} {found.size_bytes} sound"
     whole = FilePart(found.path, 0, found.size_bytes)

@@ -53,6 +53,7 @@ class SoundBody(BaseModel):
     begin_ns: int = Field(description="time of its first sample, on the clock of the packets' times")
     channels: int
     live: bool = Field(default=False, description="whether it comes as it is heard, by the live websocket")
+    camera: str | None = Field(default=None, description="the camera at which its microphone stands; null: unknown")
 
 
 class StreamBody(BaseModel):

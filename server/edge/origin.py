@@ -15,7 +15,7 @@ from urllib.parse import quote, urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from streamlod.codec.sound.beside import MAX_TIME_NS
+from streamlod.codec.sound.beside import MAX_CAMERA_NAME, MAX_TIME_NS
 from streamlod.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,6 +53,7 @@ class OriginSound(BaseModel):
     begin_ns: int = Field(ge=0, le=MAX_TIME_NS)
     channels: int = Field(ge=1, le=2)
     live: bool = False
+    camera: str | None = Field(default=None, max_length=MAX_CAMERA_NAME)
 
 
 class OriginStream(UnknownStream):

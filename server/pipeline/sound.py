@@ -30,10 +30,12 @@ class FilmedSound:
     Attributes:
         film: its file, and where in it the clip begins.
         channels: 1 or 2.
+        camera: whose video it is; None for a file of its own.
     """
 
     film: Film
     channels: int
+    camera: str | None
 
 
 def choose_sound(dataset: Dataset, choice: str) -> FilmedSound | None:
@@ -53,7 +55,7 @@ def choose_sound(dataset: Dataset, choice: str) -> FilmedSound | None:
     seconds = _seconds(dataset)
     if choice == AUTO:
         for name, film in films.items():
-            if film is not None and (found := _usable(film)) is not None and _listened(name, film, seconds):
+            if film is not None and (found := _usable(name, film)) is not None and _listened(name, film, seconds):
                 return found
         return None
     if choice in films:
@@ -65,7 +67,7 @@ def choose_sound(dataset: Dataset, choice: str) -> FilmedSound | None:
     else:
         first = next(iter(films.values()))
         named = Film(Path(choice), 0 if first is None else first.begin_ns)
-    sound = _required(named)
+    sound = _required(named, choice if choice in films else None)
     _listened(choice, named, seconds)
     return sound
 
@@ -97,23 +99,23 @@ def write_beside(out: Path, sound: FilmedSound | None, seconds: float) -> None:
         path.unlink(missing_ok=True)
         return
     blocks = filmed_sound(sound.film.path, SAMPLE_RATE, sound.film.begin_ns, round(seconds * SAMPLE_RATE))
-    write_sound(path, blocks, sound.channels, begin_ns=0)
+    write_sound(path, blocks, sound.channels, begin_ns=0, camera=sound.camera)
 
 
 def _sounding(dataset: Dataset) -> dict[str, Film]:
     """Films of cameras with sound that can be used."""
     recording = dataset.recording
     films = {camera.name: recording.source.film(row) for row, camera in enumerate(recording.cameras)}
-    return {name: film for name, film in films.items() if film is not None and _usable(film) is not None}
+    return {name: film for name, film in films.items() if film is not None and _usable(name, film) is not None}
 
 
-def _usable(film: Film) -> FilmedSound | None:
+def _usable(name: str, film: Film) -> FilmedSound | None:
     try:
         channels = sound_channels(film.path)
     except InputError as error:
         _LOG.warning("%s; its sound is left out", error)
         return None
-    return None if channels is None else FilmedSound(film, channels)
+    return None if channels is None else FilmedSound(film, channels, name)
 
 
 def _seconds(dataset: Dataset) -> float:
@@ -137,8 +139,8 @@ def _fault(name: str, begin: float | None) -> str:
     return ""
 
 
-def _required(film: Film) -> FilmedSound:
+def _required(film: Film, camera: str | None) -> FilmedSound:
     channels = sound_channels(film.path)
     if channels is None:
         raise InputError(film.path, "has no sound; choose another camera, a file, or --sound none")
-    return FilmedSound(film, channels)
+    return FilmedSound(film, channels, camera)

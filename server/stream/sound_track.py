@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Any
 
 from streamlod.codec.mp4.sound import SoundPiece, pack_piece, read_piece
 from streamlod.codec.sound.beside import look_at_sound, sound_beside
@@ -42,6 +43,7 @@ class SoundTrack:
         recording: of the stream, or None.
 
     Attributes:
+        camera: at which the microphone stands; None where that is not known.
         listeners: called whenever there is more; they must not raise.
     """
 
@@ -50,21 +52,22 @@ class SoundTrack:
         self._held: deque[HeldPiece] = deque()
         self._bytes = 0
         self._earlier = None if recording is None else _facts_of(sound_beside(s.path) for s in recording.segments)
+        self.camera = None if self._earlier is None else self._earlier["camera"]
         self._recorded_ns = -(2**63)  # up to which it has been handed to the recording
         # of this stream alone: another one may have files of the same names and sizes
         self._pieces_of = lru_cache(maxsize=4)(_pieces_of)
         self.listeners: set[Callable[[], None]] = set()
 
     @property
-    def facts(self) -> dict[str, int | bool] | None:
-        """Facts that are told: `begin_ns` of the oldest piece in memory, `channels`, `live`; None without any.
+    def facts(self) -> dict[str, Any] | None:
+        """Facts that are told, as in docs/protocol.md, `begin_ns` of the oldest piece in memory; None without any.
 
         Before there is any, those of what was recorded before this server began.
         """
         if not self._held:
             return self._earlier
-        oldest = self._held[0].piece
-        return {"begin_ns": max(0, oldest.begin_ns), "channels": oldest.settings.channels, "live": True}
+        oldest, begin_ns = self._held[0].piece, max(0, self._held[0].piece.begin_ns)
+        return {"begin_ns": begin_ns, "channels": oldest.settings.channels, "live": True, "camera": self.camera}
 
     def add(self, data: bytes) -> None:
         """Take the newest piece; one that does not follow in time is left out.
@@ -90,7 +93,7 @@ class SoundTrack:
             if each.piece.begin_ns >= self._recorded_ns and each.piece.end_ns <= time_ns
         ]
         if new and self._recording is not None:
-            self._recording.append_sound(new)
+            self._recording.append_sound(new, self.camera)
             self._recorded_ns = new[-1].end_ns - 1
 
     async def read(self, begin_ns: int, end_ns: int | None = None) -> list[HeldPiece]:
@@ -161,12 +164,11 @@ def _from(paths: list[Path], begin_ns: int) -> Iterator[Path]:
     yield from paths[first:]
 
 
-def _facts_of(paths: Iterable[Path]) -> dict[str, int | bool] | None:
+def _facts_of(paths: Iterable[Path]) -> dict[str, Any] | None:
     """The facts of the first of these files that is one."""
     for path in paths:
         with suppress(OSError, InputError):  # a group without sound, or damaged
-            found = look_at_sound(path)
-            return {"begin_ns": found.begin_ns, "channels": found.channels, "live": True}
+            return look_at_sound(path).facts(live=True)
     return None
 
 

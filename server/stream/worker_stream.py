@@ -75,9 +75,7 @@ class WorkerStream(Stream):
         self.source, self.played_file = spec.source, spec.play
         self.loop = spec.play is not None and spec.loop
         sound = None if spec.play is None else find_sound(spec.play)
-        self.file_sound = None
-        if sound is not None:
-            self.file_sound = {"begin_ns": sound.begin_ns, "channels": sound.channels, "live": False}
+        self.file_sound = None if sound is None else sound.facts(live=False)
         self._armed = self._armed and spec.on_demand
         if self.detail == _WAITS:
             self.start()

@@ -61,6 +61,7 @@ class Tag(IntEnum):
     PICTURES = 10  # of `camera_pictures`
     PLACED = 11  # JSON: node of the cluster that the worker runs on
     SOUND = 12  # a piece of live sound, of `codec.mp4.sound`
+    MICROPHONE = 13  # JSON: camera at which live sound is heard, or null; comes before sound
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,6 +206,8 @@ def train(
         opened, pictures = open_job(job, push_socket, give_sound), None
         if scene is not None:  # here, as the figures that are told below are of the rig that is read
             opened = opened.continuing(scene)
+        if job.live is not None:
+            sender.send(Tag.MICROPHONE, {"camera": opened.microphone})
         if camera_pictures:
             pictures = CameraPictures(opened.dataset.upright)
             opened = replace(opened, on_read=pictures.note)

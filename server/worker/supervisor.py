@@ -267,9 +267,12 @@ async def _await(handled: Awaitable[None]) -> None:
     await handled
 
 
+_OF_NO_PROGRESS = frozenset({Tag.PICTURES, Tag.PLACED, Tag.MICROPHONE})
+
+
 def _is_progress(tag: Tag, body: bytes) -> bool:
     """Whether a message shows that the worker gets on; waiting for pictures counts, having read some does not."""
-    return tag not in {Tag.PICTURES, Tag.PLACED} and (tag is not Tag.INGEST or json.loads(body)["waiting"] is True)
+    return tag not in _OF_NO_PROGRESS and (tag is not Tag.INGEST or json.loads(body)["waiting"] is True)
 
 
 def _cause(exit_code: int | None) -> str:

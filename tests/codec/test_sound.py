@@ -7,8 +7,10 @@ import av
 import numpy as np
 import pytest
 
-from streamlod.codec.sound.beside import find_sound, look_at_sound, sound_beside
+from streamlod.codec.sound.beside import MAX_CAMERA_NAME, find_sound, look_at_sound, sound_beside
+from streamlod.codec.sound.encoder import SoundEncoder
 from streamlod.codec.sound.opus import SAMPLE_RATE, write_sound
+from streamlod.codec.sound.packets import sound_file
 from streamlod.core.errors import InputError
 from tests.clicks import clicks, onsets
 from tests.opus import PACKET_SAMPLES, read_sound
@@ -28,6 +30,29 @@ def test_sound_survives_its_file(file: Path) -> None:
     samples = np.concatenate(list(read_sound(file)))
     assert samples.shape == (round(2.01 * SAMPLE_RATE), 2)  # neither the encoder's delay nor what fills its last packet
     assert onsets(samples) == pytest.approx([0.0, 1.0, 2.0], abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["cam02", 'Kamera "3" \\ Tür', "x" * MAX_CAMERA_NAME])
+def test_a_file_names_the_camera_of_its_microphone(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "clip.slod.opus"
+    write_sound(path, [clicks(0.1)], 1, 20, name)
+    found = look_at_sound(path)
+    assert (found.begin_ns, found.camera) == (20, name)
+    encoder = SoundEncoder(1)
+    write = sound_file(encoder.settings, encoder.put(clicks(0.1), 0), name)
+    path.write_bytes(write)
+    assert look_at_sound(path).camera == name
+
+
+@pytest.mark.parametrize("text", [b'"cam0\x002"', b'"cam\\02"', b'"cam02 ', b"cam0002", b'"\\u0007"'])
+def test_a_damaged_name_of_a_camera_is_none(tmp_path: Path, text: bytes) -> None:
+    path = tmp_path / "clip.slod.opus"
+    write_sound(path, [clicks(0.1)], 1, 20, "cam002"[: len(text) - 2])
+    data = path.read_bytes()
+    at = data.index(b"STREAMLOD_CAMERA=") + len(b"STREAMLOD_CAMERA=")
+    path.write_bytes(data[:at] + text + data[at + len(text) :])
+    found = look_at_sound(path)
+    assert (found.begin_ns, found.camera) == (20, None)
 
 
 def test_any_reader_of_ogg_finds_opus_packets_of_20_ms_and_the_begin(file: Path) -> None:

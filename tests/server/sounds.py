@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Iterable
 
 from streamlod.codec.mp4.sound import SoundPiece, pack_piece
@@ -22,12 +23,13 @@ def pieces(seconds: float, begin_ns: int = 0, channels: int = 1) -> list[SoundPi
     return [SoundPiece(encoder.settings, tuple(packets[at : at + 10])) for at in range(0, len(packets), 10)]
 
 
-def hear(server: Running, found: Iterable[SoundPiece], name: str = "main") -> None:
-    """Hand pieces to a stream, on the loop of its server."""
+def hear(server: Running, found: Iterable[SoundPiece], name: str = "main", camera: str | None = None) -> None:
+    """Hand pieces, heard at `camera` if at one, to a stream, on the loop of its server."""
     stream = server.registry.streams[name]
     assert isinstance(stream, WorkerStream)
 
     async def tell() -> None:
+        await stream.work.on_message(Tag.MICROPHONE, json.dumps({"camera": camera}).encode())
         for piece in found:
             await stream.work.on_message(Tag.SOUND, pack_piece(piece))
 

@@ -124,7 +124,8 @@ def _trained(job: TrainJob, scene: Scene | None, start: int, socket: Path) -> li
 
 @pytest.mark.long
 def test_training_that_continues_a_scene_tells_of_its_cameras_too(tmp_path: Path) -> None:
-    job = TrainJob(live=definition(), preset="live", frames=2, points="random")
+    heard = definition()["cameras"][0]["name"]
+    job = TrainJob(live=definition() | {"sound": heard}, preset="live", frames=2, points="random")
     decoder = SceneDecoder()
     for tag, body, _ in _trained(job, None, 0, tmp_path / "s"):
         if tag is Tag.PACKET:
@@ -135,6 +136,7 @@ def test_training_that_continues_a_scene_tells_of_its_cameras_too(tmp_path: Path
     told = [json.loads(body) for tag, body, _ in messages if tag is Tag.INGEST]
     sent = [peek(body).to_version for tag, body, _ in messages if tag is Tag.PACKET]
     assert sent == [scene.version + 1, scene.version + 2]
+    assert [json.loads(body) for tag, body, _ in messages if tag is Tag.MICROPHONE] == [{"camera": heard}]
     assert told
     assert told[-1]["cameras"].keys() == {camera["name"] for camera in definition()["cameras"]}
 

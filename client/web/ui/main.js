@@ -118,15 +118,15 @@ async function start(viewer) {
     if (detail.version !== shown) refresh(); // the same frame from elsewhere changes nothing around it
     shown = detail.version;
   });
-  /** @param {string | null} address - null for live sound @param {number | null} beginMs */
-  const offerSound = async (address, beginMs) => {
+  /** @param {string | null} address - null for live sound @param {import("./sound.js").Told | null} told */
+  const offerSound = async (address, told) => {
     if (viewer.thin) return; // pictures that the server draws do not say when they were filmed
     const played = recording, { Sound } = await import("./sound.js");
-    if (recording === played) viewer.sound ??= new Sound(viewer, timeline, address, token, beginMs);
+    if (recording === played) viewer.sound ??= new Sound(viewer, timeline, address, token, told);
   };
   viewer.addEventListener("sound", (event) => {
-    const { begin_ns, live } = /** @type {CustomEvent} */ (event).detail;
-    if (!recording && !viewer.sound) live ? offerSound(null, 0) : offerSound(`${place}/sound`, begin_ns / 1e6);
+    const { begin_ns, live, camera } = /** @type {CustomEvent} */ (event).detail;
+    if (!recording && !viewer.sound) live ? offerSound(null, { beginMs: 0, camera }) : offerSound(`${place}/sound`, { beginMs: begin_ns / 1e6, camera });
   });
   viewer.addEventListener("moments", (event) => timeline.holds(/** @type {CustomEvent} */ (event).detail.moments));
   viewer.addEventListener("drawn", (event) => {

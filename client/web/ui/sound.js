@@ -6,6 +6,7 @@
  */
 
 import { LiveSound } from "../view/live-sound.js";
+import { PlacedSound, microphoneAt } from "../view/placed-sound.js";
 import { element } from "./page.js";
 import { MOVING } from "./timeline.js";
 
@@ -23,25 +24,30 @@ const HEAD_BYTES = 4096; // both headers of the file
 const LINK_SECONDS = 24 * 3600;
 const NEAR_END = 0.05; // s, of what is held: an element that gets there stops
 
+/** What is known of sound before it is loaded: `beginMs` of its first sample, on the clock of the pictures, and the camera at which its microphone stands. @typedef {{ beginMs: number, camera?: string | null }} Told */
+
 export class Sound {
   /**
    * @param {import("../view/viewer.js").Viewer} viewer
    * @param {import("./timeline.js").Timeline} timeline
    * @param {string | null} address - of an Ogg Opus file; null for live sound, which comes with the pictures
    * @param {string | null} token - where the server of streams wants one
-   * @param {number | null} beginMs - time of the first sample, on the clock of the pictures; null: as the file says
+   * @param {Told | null} told - null: as the file says
    */
-  constructor(viewer, timeline, address, token, beginMs) {
+  constructor(viewer, timeline, address, token, told) {
     this.viewer = viewer;
     this.timeline = timeline;
     this.address = address;
     this.token = token;
-    this.beginMs = beginMs;
+    this.told = told;
+    /** @type {PlacedSound | null} */
+    this.placed = null;
     this.ends = new AbortController();
     const { signal } = this.ends;
     this.live = address === null ? new LiveSound(viewer, signal) : null;
     this.audio = new Audio();
     this.audio.preload = "auto";
+    this.audio.crossOrigin = "anonymous"; // else what other sites send could not be placed
     this.isOn = false;
     this.clock = NaN; // what was filmed, less the time of this page times the speed, ms
     this.speed = 1;
@@ -57,6 +63,7 @@ export class Sound {
     element("t-time").after(this.opener, this.volume);
     viewer.addEventListener("picture", (event) => this.#note(/** @type {CustomEvent} */ (event).detail), { signal });
     viewer.addEventListener("status", (event) => this.#begin(/** @type {CustomEvent} */ (event).detail), { signal });
+    viewer.addEventListener("scene", () => this.#place(), { signal });
     this.audio.addEventListener("error", () => this.isOn && this.#load(), { signal }); // perhaps the address has expired
     this.timer = setInterval(() => this.#step(performance.now()), STEP_MS);
     this.#turn(false);
@@ -65,8 +72,8 @@ export class Sound {
   /** What programs are told; `behindMs` is how far it is behind the picture. */
   get state() {
     const { audio } = this, now = performance.now();
-    const heard = 1000 * audio.currentTime + (this.beginMs ?? 0);
-    return { on: this.isOn, beginMs: this.beginMs, playing: !audio.paused && !audio.seeking, volume: audio.volume, timeMs: heard, behindMs: this.#filmed(now) - heard };
+    const beginMs = this.told?.beginMs ?? null, heard = 1000 * audio.currentTime - this.speed * this.#lateMs + (beginMs ?? 0);
+    return { on: this.isOn, beginMs, placed: this.placed !== null, playing: !audio.paused && !audio.seeking, volume: audio.volume, timeMs: heard, behindMs: this.#filmed(now) - heard };
   }
 
   /** Time that is shown now. @param {number} now */
@@ -109,7 +116,7 @@ export class Sound {
     const { audio, viewer, shown } = this;
     if (!this.isOn) return;
     const isLate = now - shown.at > LATE_MS + LATE_PICTURES * this.#gap;
-    const at = this.#filmed(now) - (this.beginMs ?? NaN), off = 1000 * audio.currentTime - at;
+    const at = this.#filmed(now + this.#lateMs) - (this.told?.beginMs ?? NaN), off = 1000 * audio.currentTime - at;
     const isOutside = this.live ? !isHeld(audio.buffered, at / 1000) : !(at >= 0) || at > 1000 * (audio.duration || Infinity);
     if (isLate || isOutside || this.timeline.stands || !MOVING.includes(viewer.status?.phase ?? "")) {
       audio.pause();
@@ -122,7 +129,21 @@ export class Sound {
     }
     const pull = Math.min(Math.max(off / PULL_MS, -MAX_PULL), MAX_PULL);
     audio.playbackRate = this.speed * (1 - pull);
+    this.placed?.wake();
     if (audio.paused) audio.play().catch(({ name }) => name === "AbortError" || this.#turn(false)); // not allowed yet; or paused before it began
+  }
+
+  /** How long what the element plays is under way to the ear. */
+  get #lateMs() {
+    return this.placed?.lateMs ?? 0;
+  }
+
+  /** Let it come from where its microphone stands, once it is wanted and both are known. */
+  #place() {
+    const { viewer } = this, at = microphoneAt(viewer.scene?.cameras ?? [], this.told?.camera);
+    if (!this.isOn || !at) return;
+    this.placed ??= new PlacedSound(viewer, this.audio, this.ends.signal);
+    this.placed.stand(at);
   }
 
   async #load() {
@@ -130,7 +151,8 @@ export class Sound {
     let query = "";
     try {
       if (this.live || this.address === null) return this.live?.open(this.audio);
-      this.beginMs ??= await beginOf(this.address);
+      this.told ??= await toldBy(this.address);
+      this.#place();
       if (this.token) query = `?${await sign(this.address, this.token)}`;
       this.audio.src = this.address + query;
     } catch {
@@ -141,9 +163,12 @@ export class Sound {
   /** Sound on or off. @param {boolean} on */
   #turn(on) {
     this.isOn = on;
-    if (!on) this.audio.pause();
-    else if (!this.audio.src) this.#load();
+    if (!on) {
+      this.audio.pause();
+      this.placed?.rest();
+    } else if (!this.audio.src) this.#load();
     this.live?.turn(on);
+    this.#place(); // now, as browsers want a gesture
     const name = on ? "Mute" : "Sound";
     Object.assign(this.opener, { title: name, ariaLabel: name, ariaPressed: String(on) });
     this.opener.querySelector("path")?.setAttribute("d", `M4 9.5v5h3.5L12 19V5L7.5 9.5z${on ? "M15 9a4 4 0 0 1 0 6M17.5 6.5a8 8 0 0 1 0 11" : "M15.5 9.5l5 5M20.5 9.5l-5 5"}`);
@@ -167,11 +192,20 @@ function isHeld(ranges, at) {
   return false;
 }
 
-/** When a file begins, ms: a comment in its first bytes says so. @param {string} address */
-async function beginOf(address) {
+/** What a file says of itself, in comments in its first bytes. @param {string} address @returns {Promise<Told>} */
+async function toldBy(address) {
   const answer = await fetch(address, { headers: { Range: `bytes=0-${HEAD_BYTES - 1}` } });
   const head = new TextDecoder("latin1").decode(answer.ok ? (await answer.arrayBuffer()).slice(0, HEAD_BYTES) : undefined);
-  return Number(/STREAMLOD_BEGIN_NS=(\d{1,19})/i.exec(head)?.[1] ?? 0) / 1e6;
+  return { beginMs: Number(/STREAMLOD_BEGIN_NS=(\d{1,19})/i.exec(head)?.[1] ?? 0) / 1e6, camera: cameraIn(head) };
+}
+
+/** The camera that a file names: a JSON string. @param {string} head */
+function cameraIn(head) {
+  try {
+    return JSON.parse(/STREAMLOD_CAMERA=("(?:[^"\\]|\\.)*")/i.exec(head)?.[1] ?? "null");
+  } catch {
+    return null;
+  }
 }
 
 /** What to add to the address of a stream's sound: an audio element cannot send a token. @param {string} address @param {string} token */

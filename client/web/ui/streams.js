@@ -3,7 +3,7 @@
 import { button, element } from "./page.js";
 import { show } from "./status.js";
 
-/** @typedef {{ id: string, name: string, source: string, state: string, viewers: number, camera_pictures?: string[], sound?: { begin_ns: number, live?: boolean } | null }} Stream */
+/** @typedef {{ id: string, name: string, source: string, state: string, viewers: number, camera_pictures?: string[], sound?: { begin_ns: number, live?: boolean, camera?: string | null } | null }} Stream */
 
 /** An address of the server that the page is from, which may stand under a path of a proxy. @param {string} path - without a slash at its begin */
 export const serverPath = (path) => new URL(path, new URL(".", location.href)).href;

@@ -1,7 +1,7 @@
 /**
  * The part of the page that shows a stream, without any controls around it: what its worker says, seen from its stance,
- * is drawn by its painter in the size of the page. Fires `scene`, `picture`, `status`, `refused`, `frame`, `drawn` and
- * `graphics` events.
+ * is drawn by its painter in the size of the page. Fires `scene`, `picture`, `status`, `refused`, `frame`, `drawn`,
+ * `looked` and `graphics` events.
  */
 
 import { exposureAt } from "./exposure.js";
@@ -178,6 +178,7 @@ export class Viewer extends EventTarget {
   /** Ask for splats as they are seen from there. @param {{ position: Vec3, rotation: number[] }} view */
   lookFrom({ position, rotation }) {
     this.tell({ type: "view", view: { position, rotation, levels: this.levels, unsorted: this.painter.renderer.sorts } });
+    this.dispatchEvent(new CustomEvent("looked", { detail: { position, rotation } }));
   }
 
   /** Fit the drawing buffer to the page, with the next frame. */

@@ -115,6 +115,11 @@ class RigDefinition:
         """The source of sound as the file names it; empty for none."""
         return "" if self.sound is None else self.sound.name
 
+    @property
+    def microphone(self) -> str | None:
+        """The camera at which the sound is heard; None for a microphone or a file of its own, and for none."""
+        return self.sound_name if any(camera.name == self.sound_name for camera in self.cameras) else None
+
 
 def read_definition(source: Path | dict[str, Any]) -> RigDefinition:
     """The rig that a file describes, or a mapping of the same form.

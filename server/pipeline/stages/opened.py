@@ -69,6 +69,11 @@ class OpenJob:
         dataset = self.dataset.placed(space.after(self.dataset.space))
         return replace(self, dataset=dataset, rig=tuple(space.camera(camera) for camera in self.rig))
 
+    @property
+    def microphone(self) -> str | None:
+        """The camera at which the sound of live cameras is heard; None for other microphones, and for none."""
+        return self.dataset.definition.microphone if isinstance(self.dataset, LiveDataset) else None
+
     def statistics(self) -> Statistics | None:
         """Figures of live cameras; None for files, and while nothing is read."""
         return self.dataset.statistics() if isinstance(self.dataset, LiveDataset) else None

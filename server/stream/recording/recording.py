@@ -97,10 +97,10 @@ class Recording:
         self._waiting_bytes += len(packet.data)
         return self._disk.submit(lambda: self._write(packet))
 
-    def append_sound(self, pieces: Sequence[SoundPiece]) -> None:
-        """Queue sound for the file beside the open segment; without one it is left out."""
+    def append_sound(self, pieces: Sequence[SoundPiece], camera: str | None) -> None:
+        """Queue sound that is heard at `camera`, if at one, for the file beside the open segment, if there is one."""
         if self._waiting_bytes <= self._disk.retention.memory_bytes:
-            self._disk.submit(lambda: self._write_sound(pieces))
+            self._disk.submit(lambda: self._write_sound(pieces, camera))
 
     async def flush(self) -> None:
         """Wait until everything appended so far is written."""
@@ -153,7 +153,7 @@ class Recording:
             self.fault = None
             _LOG.warning("stream %s: is recorded again; %d packets are lost so far", self._stream, self.lost_packets)
 
-    def _write_sound(self, pieces: Sequence[SoundPiece]) -> None:
+    def _write_sound(self, pieces: Sequence[SoundPiece], camera: str | None) -> None:
         """Append to the sound of the open segment, of which a failure is reported once. On the recording thread."""
         if self._writer is None or self._sound_fails:
             return
@@ -161,7 +161,7 @@ class Recording:
         try:
             if self._sound is None:
                 os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE_FILE))
-                self._sound = PacketWriter(path, pieces[0].settings, pieces[0].packets[0].time)
+                self._sound = PacketWriter(path, pieces[0].settings, pieces[0].packets[0].time, camera)
             for piece in pieces:
                 for packet in piece.packets:
                     self._sound.append(packet)

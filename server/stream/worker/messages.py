@@ -50,6 +50,8 @@ class WorkerMessages:
                 self._stream.tell(event("progress", **(self._stream.progress or {})))
             case Tag.SOUND:
                 self._stream.hear(body)
+            case Tag.MICROPHONE:
+                self._stream.sound_track.camera = json.loads(body)["camera"]
             case Tag.INGEST:
                 self._take_figures(json.loads(body))
             case Tag.PICTURES:

@@ -19,6 +19,7 @@ import { pack } from "../../../client/web/stream/push.js";
 import { Session } from "../../../client/web/stream/session.js";
 import { isSlow, part } from "../../../client/web/view/device.js";
 import { DepthSort } from "../../../client/web/view/sort.js";
+import { facing, microphoneAt, reachOf } from "../../../client/web/view/placed-sound.js";
 import { clock, duration, words } from "../../../client/web/ui/states.js";
 import { foremost } from "../../../client/web/ui/streams.js";
 import { turnAt, turns } from "../../../client/web/view/flight.js";
@@ -35,6 +36,20 @@ test("orbiting keeps the target and its distance", () => {
   const pose = camera.orbit(camera.orbit(POSE, UP, 0.7, 0.4), UP, -0.2, -0.9);
   near(camera.target(pose), [0, 0, 0], 1e-9);
   near([Math.hypot(...pose.position)], [3]);
+});
+
+test("sound comes from its camera, to ears that face as the page does", () => {
+  const turned = { ...POSE, rotation: [0, 0, -1, 0, 1, 0, 1, 0, 0] }; // looks along +x; its right is -z
+  const [r, t] = [turned.rotation, [1, 2, 3]];
+  const cameras = [{ name: "a", worldToCamera: [...r.slice(0, 3), t[0], ...r.slice(3, 6), t[1], ...r.slice(6), t[2], 0, 0, 0, 1] }];
+  near(microphoneAt(cameras, "a"), [-3, -2, 1]); // r x + t is 0 there
+  for (const name of ["b", null, undefined, 7]) assert.equal(microphoneAt(cameras, name), null);
+  const { ahead, up } = facing(turned.rotation);
+  near(ahead, [1, 0, 0]);
+  near(up, [0, -1, 0]);
+  near(camera.cross(ahead, up), [0, 0, -1]); // what an audio listener takes for its right
+  near([reachOf([-3, -2, 1], [0, 2, 1])], [5]);
+  assert.ok(reachOf([1, 1, 1], [1, 1, 1]) > 0);
 });
 
 test("positive yaw shows what lies to the right, positive pitch what lies above", () => {

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from streamlod.codec.sound.beside import sound_beside
@@ -177,19 +179,29 @@ def test_sound_begins_anew_with_a_picture_that_is_shown_already(page: Any, kerne
         arrives(page, 1)
 
 
+# Notes what goes to the loudspeakers where the page mixes it itself.
+TAP = """
+  const connect = AudioNode.prototype.connect;
+  AudioNode.prototype.connect = function (to, ...more) {
+    if (to instanceof AudioDestinationNode) window.out ??= this;
+    return connect.call(this, to, ...more);
+  };
+"""
 # What comes out of the audio element, and when pictures are shown, both by the clock of the page.
 LISTEN = """() => {
   window.heard = [];
   window.shown = [];
   streamlod.on("picture", ({ timeMs, overMs }) => window.shown.push([timeMs - (overMs ?? 0), performance.now()]));
-  const context = new AudioContext({ sampleRate: 48000 }), listener = context.createAnalyser();
+  const context = window.out?.context ?? new AudioContext({ sampleRate: 48000 }), listener = context.createAnalyser();
   listener.fftSize = 32768;
-  context.createMediaElementSource(window.playing).connect(listener).connect(context.destination);
+  if (window.out) window.out.connect(listener);
+  else context.createMediaElementSource(window.playing).connect(listener).connect(context.destination);
+  const late = window.out ? 1000 * (context.baseLatency + context.outputLatency) : 0;
   const samples = new Float32Array(listener.fftSize);
   setInterval(() => {
     listener.getFloatTimeDomainData(samples);
     const at = performance.now(), first = samples.findIndex((sample) => Math.abs(sample) > 0.2);
-    const clicked = at - (samples.length - first) / 48;
+    const clicked = at - (1000 * (samples.length - first)) / context.sampleRate + late;
     if (first > 0 && clicked - (window.heard.at(-1) ?? -Infinity) > 500) window.heard.push(clicked);
   }, 50);
 }"""
@@ -202,16 +214,24 @@ CLICKS = """(begin) => window.heard.slice(-5).map((at) => {
 
 
 @pytest.mark.long
-def test_clicks_are_heard_when_their_pictures_are_seen(page: Any, sounding: Path) -> None:
+@pytest.mark.parametrize("camera", [None, "cam00"])
+def test_clicks_are_heard_when_their_pictures_are_seen(
+    page: Any, sounding: Path, tmp_path: Path, camera: str | None
+) -> None:
     """From the samples that the browser puts out, not from what its element says of itself."""
+    played = tmp_path / "clip.slod"
+    shutil.copy(sounding, played)
+    write_sound(sound_beside(played), [clicks(19.0)], 1, BEGIN_MS * 1_000_000, camera)
+    page.add_init_script(TAP)
     page.set_viewport_size({"width": 640, "height": 360})
     page.add_init_script(
         "window.Audio = class { constructor() { return (window.playing = document.createElement('audio')); } };"
     )
-    with served(page, Settings(), sounding) as server:
+    with served(page, Settings(), played) as server:
         page.goto(f"{server.url}/?quality=low&sway=0")
         shows(page, "s.sound !== null && s.version > 2")
         page.locator("#t-sound").click()
+        shows(page, f"s.sound.playing && s.sound.placed === {json.dumps(camera is not None)}")
         page.evaluate(LISTEN)
         in_time = f"""(begin) => {{
             const offs = ({CLICKS})(begin).map(Math.abs).sort((a, b) => a - b);
@@ -221,6 +241,47 @@ def test_clicks_are_heard_when_their_pictures_are_seen(page: Any, sounding: Path
             page.wait_for_function(in_time, arg=BEGIN_MS, **WAIT)
         except Exception as error:
             raise AssertionError(f"{page.evaluate(CLICKS, BEGIN_MS)}") from error
+
+
+# How loud each ear is, over the newest 0.3 s: [left, right].
+EARS = """() => {
+  const { context } = window.out, split = context.createChannelSplitter(2);
+  window.out.connect(split);
+  const ears = [0, 1].map((side) => {
+    const ear = context.createAnalyser();
+    ear.fftSize = 16384;
+    split.connect(ear, side);
+    return ear;
+  });
+  const samples = new Float32Array(16384);
+  window.ears = () => ears.map((ear) => {
+    ear.getFloatTimeDomainData(samples);
+    return Math.hypot(...samples) / 128;
+  });
+}"""
+
+
+def test_sound_comes_from_where_its_microphone_stands(page: Any, sounding: Path, tmp_path: Path) -> None:
+    """Louder in the right ear of who has the microphone at the right, in the left one of who has turned about."""
+    played = tmp_path / "clip.slod"
+    shutil.copy(sounding, played)
+    hum = (8000 * np.sin(2 * np.pi * 700 * np.arange(19 * 48_000) / 48_000)).astype(np.int16)[:, None]
+    write_sound(sound_beside(played), [hum], 1, 0, "cam04")
+    page.set_viewport_size({"width": 640, "height": 360})
+    page.add_init_script(TAP)
+    with served(page, Settings(), played) as server:
+        assert server.stream()["sound"]["camera"] == "cam04"
+        page.goto(f"{server.url}/?quality=low&sway=0")
+        shows(page, "s.sound !== null && s.version > 2")
+        page.locator("#t-sound").click()
+        shows(page, "s.sound.placed && s.sound.playing")
+        page.evaluate(EARS)
+        for ahead, loud in ((1, "right > 1.5 * left"), (-1, "left > 1.5 * right")):
+            # near the scene's middle cam04, which stands at x = 2.06, is at the right of who looks along +z
+            page.evaluate(f"streamlod.setCamera('0,-0.9,-2.4, 0,0,{ahead}, 0,1,0, 3,1,0,0,1')")
+            page.wait_for_function(f"() => {{ const [left, right] = ears(); return left > 0 && {loud}; }}", **WAIT)
+        page.locator("#t-volume").fill("0")
+        page.wait_for_function("() => Math.max(...ears()) === 0", **WAIT)
 
 
 def test_sound_that_is_long_in_coming_stays_on(page: Any, sounding: Path) -> None:

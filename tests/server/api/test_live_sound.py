@@ -35,7 +35,10 @@ def test_who_asks_for_sound_gets_it_from_its_picture_on(server: Running) -> None
             viewer.until("caught_up")
         hear(server, pieces(12.0))
         told = listener.until("sound")
-        assert told == {"type": "event", "event": "sound", "begin_ns": 0, "channels": 1, "live": True} | told
+        assert (
+            told
+            == {"type": "event", "event": "sound", "begin_ns": 0, "channels": 1, "live": True, "camera": None} | told
+        )
         listener.until_heard(6 * SECOND_NS)
         assert server.stream()["sound"]["live"]
         assert listener.sound[0].begin_ns >= -7_000_000  # nothing before its first picture
@@ -103,7 +106,7 @@ def test_sound_is_served_by_time(server: Running, tmp_path: Path) -> None:
 def test_sound_is_kept_beside_the_recording_and_goes_with_it(slow_clip: Clip, tmp_path: Path) -> None:
     settings = Settings(state=tmp_path / "state", retention=Retention(memory_bytes=1_000_000))
     with running(settings, StreamSpec(play=slow_clip.path, loop=False)) as server:
-        hear(server, pieces(12.0))
+        hear(server, pieces(12.0), camera="cam01")
         server.wait(lambda stream: stream["state"] == "ended")
     folder = tmp_path / "state" / "streams" / "main"
     (first, second) = sorted(folder.glob("*.slod"))
@@ -112,10 +115,13 @@ def test_sound_is_kept_beside_the_recording_and_goes_with_it(slow_clip: Clip, tm
     assert heard_at(sounds[0]) == pytest.approx([0, 1, 2, 3, 4, 5], abs=0.01)
     assert heard_at(sounds[1]) == pytest.approx([6, 7, 8, 9], abs=0.01)
     assert look_at_sound(sounds[1]).begin_ns == pytest.approx(6 * SECOND_NS, abs=0.21 * SECOND_NS)
+    assert [look_at_sound(each).camera for each in sounds] == ["cam01", "cam01"]
     # another run serves the past from there, and a group that is deleted takes its sound along
     with running(settings, StreamSpec(play=slow_clip.path, loop=False)) as server:
+        assert server.stream()["sound"]["camera"] == "cam01"
         with server.client() as client:
             (tmp_path / "heard.opus").write_bytes(client.get(PATH).content)
+            assert look_at_sound(tmp_path / "heard.opus").camera == "cam01"
             assert heard_at(tmp_path / "heard.opus") == pytest.approx(range(10), abs=0.01)
             assert client.delete("/v1/recordings/main?epoch=1").status_code == 204
         assert not any(path.exists() for path in (*sounds, first, second))
@@ -128,9 +134,10 @@ def test_an_edge_passes_sound_on(server: Running, tmp_path: Path) -> None:
         with viewing(second) as viewer:
             viewer.hello(sound=True)
             viewer.until("caught_up")
-            hear(server, pieces(12.0))
+            hear(server, pieces(12.0), camera="cam01")
             viewer.until_heard(6 * SECOND_NS)
         second.wait(lambda stream: stream["sound"] is not None and stream["sound"]["live"])
+        assert second.stream()["sound"]["camera"] == "cam01"
         with second.client() as client:
             (tmp_path / "heard.opus").write_bytes(client.get(f"{PATH}?from_ns=4500000000&to_ns=6500000000").content)
     assert heard_at(tmp_path / "heard.opus") == pytest.approx([5, 6], abs=0.01)

@@ -35,9 +35,9 @@ def server(sounding: Clip, clip: Clip) -> Iterator[Running]:
 
 def test_sound_is_told_of_and_served_by_ranges(server: Running, sounding: Clip) -> None:
     data = sound_beside(sounding.path).read_bytes()
-    assert server.stream()["sound"] == {"begin_ns": 40_000_000, "channels": 2, "live": False}
+    assert server.stream()["sound"] == {"begin_ns": 40_000_000, "channels": 2, "live": False, "camera": None}
     with viewing(server) as viewer:
-        assert viewer.hello().welcome["sound"] == {"begin_ns": 40_000_000, "channels": 2, "live": False}
+        assert viewer.hello().welcome["sound"] == {"begin_ns": 40_000_000, "channels": 2, "live": False, "camera": None}
     with server.client() as client:
         whole = client.get(PATH)
         assert (whole.content, whole.headers["content-type"]) == (data, "audio/ogg")

@@ -132,7 +132,7 @@ def test_page_and_whole_recording_come_from_the_edge(chain: tuple[Node, Node, No
 
 def test_sound_comes_from_the_edge_too(chain: tuple[Node, Node, Node], long_clip: Clip) -> None:
     edge = chain[2]
-    assert edge.stream()["sound"] == {"begin_ns": 20_000_000, "channels": 1, "live": False}
+    assert edge.stream()["sound"] == {"begin_ns": 20_000_000, "channels": 1, "live": False, "camera": None}
     part = edge.get("/v1/streams/main/sound", Range="bytes=100-299")
     assert (part.status_code, part.content) == (206, sound_beside(long_clip.path).read_bytes()[100:300])
     assert part.headers["content-type"] == "audio/ogg"

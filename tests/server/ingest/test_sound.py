@@ -54,7 +54,8 @@ def _rig(folder: Path, sources: list[str], sound: str | None, **fields: object) 
 def test_clicks_of_a_file_are_heard_with_its_flashes(tmp_path: Path, name: str) -> None:
     write_sounding(tmp_path / name, 4)
     write_sounding(tmp_path / "b.mp4", 4)
-    flashes, clicks, _ = _film(_rig(tmp_path, [name, "b.mp4"], "cam0", realtime=False), 90)
+    flashes, clicks, dataset = _film(_rig(tmp_path, [name, "b.mp4"], "cam0", realtime=False), 90)
+    assert dataset.definition.microphone == "cam0"
     assert len(flashes) == 3
     assert _in_step(flashes, clicks)
 
@@ -62,7 +63,8 @@ def test_clicks_of_a_file_are_heard_with_its_flashes(tmp_path: Path, name: str) 
 def test_sound_of_another_file_begins_with_the_pictures(tmp_path: Path) -> None:
     write_sounding(tmp_path / "a.mp4", 4)
     write_sounding(tmp_path / "recorder.wav", 4, codec="pcm_s16le", channels=2, pictures=False)
-    flashes, clicks, _ = _film(_rig(tmp_path, ["a.mp4"], "recorder.wav", realtime=False), 90)
+    flashes, clicks, dataset = _film(_rig(tmp_path, ["a.mp4"], "recorder.wav", realtime=False), 90)
+    assert dataset.definition.microphone is None
     assert len(flashes) == 3
     assert _in_step(flashes, clicks)
 

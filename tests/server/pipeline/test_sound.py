@@ -35,6 +35,7 @@ def test_the_first_camera_with_sound_is_taken_unless_told_otherwise(dataset: Dat
         "auto": "cam01.mp4", "none": None, "cam02": "cam02.mp4", f"{folder}/recorder.wav": "recorder.wav",
     }  # fmt: skip
     assert [found and found.channels for found in chosen.values()] == [2, None, 1, 1]
+    assert [found and found.camera for found in chosen.values()] == ["cam01", None, "cam02", None]
 
 
 def test_what_has_no_sound_is_refused(dataset: Dataset) -> None:
@@ -49,7 +50,8 @@ def test_what_has_no_sound_is_refused(dataset: Dataset) -> None:
 def test_sound_is_written_as_long_as_the_pictures_and_removed_with_them(dataset: Dataset, tmp_path: Path) -> None:
     out = tmp_path / "clip.slod"
     write_beside(out, choose_sound(dataset, "cam02"), 2.5)
-    assert look_at_sound(sound_beside(out)).begin_ns == 0
+    found = look_at_sound(sound_beside(out))
+    assert (found.begin_ns, found.camera) == (0, "cam02")
     samples = np.concatenate(list(read_sound(sound_beside(out))))
     assert len(samples) == round(2.5 * SAMPLE_RATE)
     assert onsets(samples) == pytest.approx([1.0, 2.0], abs=0.02)

@@ -120,7 +120,12 @@ def test_live_sound_reaches_viewers_of_other_nodes_and_is_stored_once(one: Nats,
         hear(there, told[:30], "heard")
         wait(lambda: serves(here, "heard")["sound"])
         with viewing(here, "heard", max_queue=None) as viewer:
-            assert viewer.hello(sound=True).welcome["sound"] == {"begin_ns": 0, "channels": 1, "live": True}
+            assert viewer.hello(sound=True).welcome["sound"] == {
+                "begin_ns": 0,
+                "channels": 1,
+                "live": True,
+                "camera": None,
+            }
             viewer.until_heard(told[29].end_ns - 1)
             hear(there, told[30:], "heard")
             viewer.until_heard(told[-1].end_ns - 1)

@@ -44,7 +44,7 @@ def record(
         for packet in packets:
             recording.append(packet)
             if packet.is_key and sounding:
-                recording.append_sound(pieces(sounding))
+                recording.append_sound(pieces(sounding), None)
         await recording.flush()
         if not close:  # what a kill leaves behind
             shutil.copytree(folder, folder.with_name("torn"))
@@ -86,7 +86,7 @@ def test_the_sound_of_a_recording_that_is_found_again_is_offered(tmp_path: Path)
     record(tmp_path, packets_of(tmp_path), sounding=1.0)
     (tmp_path / "streams" / "main" / sound_beside(Path("000001-0000000000.slod"))).unlink()
     found = SoundTrack(reopened(tmp_path))
-    assert found.facts == {"begin_ns": 0, "channels": 1, "live": True}
+    assert found.facts == {"begin_ns": 0, "channels": 1, "live": True, "camera": None}
     assert asyncio.run(found.read(0))
     assert SoundTrack(reopened(tmp_path / "other")).facts is None
 
