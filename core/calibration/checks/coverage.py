@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from streamlod.core.arrays import Bool, Float64
+from streamlod.core.calibration.checks.expected import expected
 from streamlod.core.calibration.checks.finding import RigFinding, fact, fault, weak
 from streamlod.core.camera import Camera
 
@@ -68,12 +69,10 @@ def judged(coverage: Coverage, cameras: Sequence[Camera]) -> Iterator[RigFinding
     degrees, a, b = coverage.gaps[-1]
     names = f"{cameras[a].name} and {cameras[b].name}"
     if degrees > _WIDE:
-        yield weak(
-            f"{names} stand {degrees:.0f} degrees apart with no camera between: one there would help "
-            "most; pictures are sharp near cameras and blur between such"
-        )
+        yield weak(f"{names} stand {degrees:.0f} degrees apart with no camera between: one there would help most")
     else:
         yield fact(f"the widest gap is of {degrees:.0f} degrees, between {names}")
+    yield expected(degrees, names)
 
 
 def _tree(angles: Float64) -> Iterator[tuple[float, int, int]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from streamlod.core.calibration.checks.clocks import Clock, clock_of, judged
+from streamlod.core.calibration.checks.expected import expected
 from streamlod.core.calibration.checks.report import RigCheck, examine
 from streamlod.core.calibration.walk import WalkFootage
 from streamlod.core.camera import Camera, look_at
@@ -140,6 +142,24 @@ def test_few_cameras_far_apart_are_told_where_another_helps(filmed: Filmed) -> N
     sentences = [finding.sentence for finding in examine(undistortions(apart, 1), three).findings]
     wanted = f"{cameras[1].name} and {cameras[2].name} stand 92 degrees apart"
     assert any(sentence.startswith(wanted) for sentence in sentences)
+    expectation = (
+        "expect sharp pictures at the cameras (36 to 40 dB) and badly blurred ones half way between "
+        f"{cameras[1].name} and {cameras[2].name} (19 to 25 dB): "
+    )
+    assert sum(sentence.startswith(expectation) for sentence in sentences) == 1
+
+
+def test_the_wider_the_gap_the_less_is_expected_half_way() -> None:
+    """Sharp where zoo rigs of 7 degrees are, and blurred from 36 on, as was measured there."""
+    words = {7: "sharp", 13: "sharp to soft", 22: "soft", 36: "blurred", 50: "badly blurred", 180: "badly blurred"}
+    least = list[int]()
+    for degrees, word in words.items():
+        said = expected(degrees, "a and b").sentence
+        found = re.search(r" and ([a-z ]+) ones half way between a and b \((\d+) to (\d+) dB\)", said)
+        assert found is not None
+        assert (found[1], int(found[2]) < int(found[3])) == (word, True)
+        least.append(int(found[2]))
+    assert least == sorted(least, reverse=True)
 
 
 def clock(times: np.ndarray, camera: str = "a") -> Clock:
