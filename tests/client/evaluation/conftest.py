@@ -9,6 +9,9 @@ import pytest
 
 from streamlod.client.evaluation.measure.footage import Footage, open_footage
 from streamlod.core.data import linspace_split
+from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.completion import completed
+from streamlod.core.initialise.views import working_views
 from streamlod.core.synthetic import SyntheticSpec, write_clip
 from streamlod.core.train import TrainConfig
 
@@ -26,6 +29,13 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def footage(clip: Path) -> Footage:
     names = tuple(f"cam{number:02d}" for number in range(SPEC.cameras))
     return open_footage(clip, linspace_split(names, 2, names[:1]), frames=None, downscale=1)
+
+
+@pytest.fixture(scope="session")
+def many_points(footage: Footage) -> PointCloud:
+    """First points everywhere, as two small pictures match in few places."""
+    first, _ = next(footage.pairs())
+    return completed(footage.points, working_views(first, footage.training.cameras, 45))
 
 
 def shortened(config: TrainConfig) -> TrainConfig:

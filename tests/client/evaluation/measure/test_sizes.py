@@ -17,8 +17,7 @@ from streamlod.client.evaluation.measure.sizes import (
     stream_bytes,
 )
 from streamlod.codec.refresh import RefreshRule
-from streamlod.core.initialise.completion import completed
-from streamlod.core.initialise.views import working_views
+from streamlod.core.frames import PointCloud
 from streamlod.core.scene.residual import difference
 from streamlod.core.train import Trainer, preset
 from streamlod.server.pipeline.job import TrainJob
@@ -42,13 +41,11 @@ def test_a_stream_pays_for_its_keyframes() -> None:
 
 
 @pytest.mark.long
-def test_estimates_are_near_but_below_real_packets(footage: Footage) -> None:
+def test_estimates_are_near_but_below_real_packets(footage: Footage, many_points: PointCloud) -> None:
     """An ideal coder without headers or context, which saves real keyframes about a fifth."""
     trainer = Trainer(footage.training.cameras, shortened(preset("balanced")), 30, "cpu")
     first, second = (pair[0] for pair, _ in zip(footage.pairs(), range(2), strict=False))
-    views = working_views(first, footage.training.cameras, 45)
-    points = completed(footage.points, views)
-    before = trainer.keyframe(first, points).scene  # of so many anchors that the header hardly counts
+    before = trainer.keyframe(first, many_points).scene  # of so many anchors that the header hardly counts
     real = packet_size(None, before, None)
     assert 0.9 * real.total_bytes < shannon_keyframe_bytes(before) < 1.25 * real.total_bytes  # 1.20
     assert sum(real.level_bytes) < real.total_bytes

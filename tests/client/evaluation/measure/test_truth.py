@@ -10,6 +10,7 @@ import pytest
 from streamlod.client.evaluation.measure.footage import Footage
 from streamlod.client.evaluation.measure.truth import dynamic_precision_recall, shown_motion
 from streamlod.core.camera import Camera
+from streamlod.core.frames import PointCloud
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.train import Trainer, preset
 from tests.client.evaluation.conftest import SPEC
@@ -19,11 +20,11 @@ QUICK = replace(SPEC, fps=4.0)  # the same first frame, and motion that small pi
 
 
 @pytest.fixture(scope="module")
-def scene(footage: Footage) -> Scene:
+def scene(footage: Footage, many_points: PointCloud) -> Scene:
     training, _ = next(footage.pairs())
     config = preset("balanced")
     config = replace(config, keyframe=replace(config.keyframe, steps=24, growth_interval=8))
-    return Trainer(footage.training.cameras, config, 30, "cpu").keyframe(training, footage.points).scene
+    return Trainer(footage.training.cameras, config, 30, "cpu").keyframe(training, many_points).scene
 
 
 @pytest.fixture(scope="module")
