@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from streamlod.server.ingest.sync.clock import PLAUSIBLE_NS
 from streamlod.server.ingest.sync.synchroniser import CameraState
 from streamlod.server.ingest.sync.time_fault import TimeFault
 
@@ -13,8 +12,6 @@ _TIME_FAULTS = {
     TimeFault.BACK: "times run backwards: restart it; until then the stream goes on without it",
     TimeFault.FAR: "times are far from those of the other cameras: set its clock (NTP); until then the stream goes on "
     "without it",
-    TimeFault.UNSET: f"clock is {PLAUSIBLE_NS // 10**9} s off or more: set it (NTP); until then its pictures are timed "
-    "by their arrival",
 }
 _SILENT_NS = 5_000_000_000  # of a camera whose connection stands: on a busy machine pictures stay away for seconds
 

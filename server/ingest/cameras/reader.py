@@ -151,7 +151,7 @@ class Reader(SourceThread):
     def _deliver(self, frame: av.VideoFrame, found: CaptureTime) -> None:
         self._check_size(*upright_size(frame))
         load = one_at_a_time(partial(upright, frame))
-        self._sink.put(Picture(self.camera, found.capture_ns, found.source, found.error_ns, load, found.is_clock_off))
+        self._sink.put(Picture(self.camera, found.capture_ns, found.source, found.error_ns, load))
 
 
 def max_pixels(size: tuple[int, int]) -> int:

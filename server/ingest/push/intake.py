@@ -138,7 +138,7 @@ class Intake:
             self._put(message.camera, frame.pts, found, one_at_a_time(load))
 
     def _put(self, camera: str, capture_ns: int, found: CaptureTime, load: Callable[[], UInt8]) -> None:
-        self._rig.put(Picture(camera, capture_ns, found.source, found.error_ns, load, found.is_clock_off))
+        self._rig.put(Picture(camera, capture_ns, found.source, found.error_ns, load))
 
 
 def _announced(message: PushMessage, size: tuple[int, int]) -> AnnouncedPicture:

@@ -6,7 +6,7 @@ code in the picture, a hardware frame number of a genlocked rig, and the arrival
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from fractions import Fraction
 
@@ -34,13 +34,11 @@ class ClockSource(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CaptureTime:
-    """When a picture was taken, nanoseconds since 1970; from which evidence; how far it may be off; and whether it does
-    not rest on the time that its sender told, as that is seconds off ours."""
+    """When a picture was taken, nanoseconds since 1970; from which evidence; how far it may be off."""
 
     capture_ns: int
     source: ClockSource
     error_ns: int
-    is_clock_off: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +100,7 @@ class CaptureClock:
             patience = _PATIENCE_NS if self._expects_ntp and not self._sender else _WARM_UP_NS
             if seen.arrival_ns - self._since_ns < patience:
                 return None
-            is_told = bool(self._sender) or seen.stated_ns is not None or seen.timecode_ns is not None
-            found = replace(arrival, is_clock_off=is_told)
+            found = arrival
         self._source = found.source
         return found
 

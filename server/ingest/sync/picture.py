@@ -19,7 +19,6 @@ class Picture:
         capture_ns: capture time, nanoseconds since 1970.
         source: evidence of the time.
         error_ns: how far the time may be off.
-        is_clock_off: whether the sender told a time that was too far off ours to be used.
         load: decodes the [H,W,3] uint8 RGB pixels; called only for pictures that are used, by any thread; raises
             InputError for one that does not decode.
     """
@@ -29,7 +28,6 @@ class Picture:
     source: ClockSource
     error_ns: int
     load: Callable[[], UInt8]
-    is_clock_off: bool = False
 
 
 def one_at_a_time(load: Callable[[], UInt8]) -> Callable[[], UInt8]:

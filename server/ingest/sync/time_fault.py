@@ -11,12 +11,11 @@ _LASTING_NS = 2_000_000_000  # less is a step of a clock, or a connection that s
 
 
 class TimeFault(StrEnum):
-    """still, back: times that do not advance; far: from those of the other cameras; unset: a clock seconds off ours."""
+    """still, back: times that do not advance; far: from those of the other cameras."""
 
     STILL = "still"
     BACK = "back"
     FAR = "far"
-    UNSET = "unset"
 
 
 @dataclass(slots=True)
@@ -36,8 +35,6 @@ class TimeWatch:
             found = TimeFault.STILL if picture.capture_ns == last else TimeFault.BACK
         elif is_far:
             found = TimeFault.FAR
-        elif picture.is_clock_off:
-            found = TimeFault.UNSET
         if self._fault is None:
             self._since_ns = now_ns
         self._fault, self._newest_ns = found, now_ns
