@@ -49,5 +49,7 @@ class Pausing:
             return
         self._free.clear()
         stream.is_paused = True
-        await self._free.wait()
-        stream.is_paused = False
+        try:
+            await self._free.wait()
+        finally:  # also where the worker is ended meanwhile
+            stream.is_paused = False

@@ -219,7 +219,7 @@ def test_a_played_file_is_a_replay_that_can_be_sought(page: Any, clip: Clip, tmp
         for version in range(1, 40):  # the clip goes on for longer
             writer.append(clip.residual(version - 1, version))
     page.add_init_script(KEEP_HISTORY)
-    with running(Settings(), StreamSpec(play=recording, loop=True)) as server:
+    with running(Settings(on_demand_seconds=600), StreamSpec(play=recording, loop=True)) as server:
         server.wait(lambda stream: (stream["version"] or 0) > 20)
         page.goto(f"{server.url}/?quality=high")
         chip(page, "Replay")

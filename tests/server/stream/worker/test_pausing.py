@@ -38,6 +38,7 @@ def test_nothing_is_made_while_nobody_watches(clip: Clip, tmp_path: Path, kept: 
         with server.client() as client:  # stopping one that pauses takes no time, and it starts again
             assert client.post("/v1/streams/main/stop").status_code == 202
             server.wait(lambda found: found["state"] == "idle")
+            assert not stream.is_paused
             assert client.post("/v1/streams/main/start").status_code == 202
             server.wait(lambda found: found["state"] == "live")
     assert not list(tmp_path.rglob("*.slod"))
@@ -58,6 +59,8 @@ def test_what_is_recorded_does_not_pause_and_is_recorded_once(clip: Clip, tmp_pa
             assert recorded(tmp_path) == first
         assert client.post("/v1/streams/main/stop").json()["recording"] == "off"
         last = server.stream()["epoch"]
+        server.wait(lambda found: found["state"] == "idle")
+        assert not stream.is_paused
         assert client.post("/v1/streams/main/start").json()["recording"] == "on"
         wait(lambda: stream.is_paused)
         assert recorded(tmp_path) == first | {last + 1: clip.packets}
