@@ -42,7 +42,7 @@ from tests.client.web.scenes import make_scene, moved
 from tests.server.conftest import make_clip, running
 from tests.server.sounds import hear, pieces
 from tests.small_disk import mounted_disk
-from tests.waiting import wait
+from tests.waiting import PATIENCE, wait
 
 FPS = 10.0
 
@@ -170,7 +170,7 @@ def test_a_live_film_ends_by_ctrl_c_with_its_sound(tmp_path: Path) -> None:
                 begun = server.stream()["version"]
                 server.wait(lambda stream: stream["version"] >= begun + 25)
                 process.send_signal(signal.SIGINT)
-                told, _ = process.communicate(timeout=60)
+                told, _ = process.communicate(timeout=PATIENCE)
             finally:
                 process.kill()
     assert process.returncode == 0
