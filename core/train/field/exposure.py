@@ -19,6 +19,7 @@ from streamlod.core.train.field.decode import Splats
 
 _FLAT = 1e-4  # variance of grey values in units of [0, 1], below which a picture says nothing about gain
 _GAINS = (0.25, 4.0)
+_CLIPPED = 1.5 / 255  # nearer to black or full brightness, a pixel does not say how dark or bright it was
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,16 +91,19 @@ def exposure_of(cameras: Sequence[CameraExposure], device: str | torch.device) -
 def fitted(shown: Tensor, targets: Tensor, cameras: list[int]) -> Exposure:
     """The exposures under which `shown` [C,H,W,3] comes nearest to `targets` [C,H,W,3], a camera and channel at a time.
 
-    Least squares over the pixels, for a scene whose exposures are not known any more; neutral for other `cameras`, and
-    where a picture is all of one colour.
+    Least squares over the pixels that are not clipped in the target, for a scene whose exposures are not known any
+    more; neutral for other `cameras`, and where a picture is all of one colour.
     """
     exposure = neutral(len(shown), shown.device)
     for number in cameras:
         picture, target = (pictures[number].flatten(0, 1).double() for pictures in (shown, targets))
-        spread = picture - picture.mean(dim=0)
-        variance = spread.square().mean(dim=0)
-        gain = (spread * (target - target.mean(dim=0))).mean(dim=0) / variance.clamp_min(1e-12)
+        whole = ((target > _CLIPPED) & (target < 1 - _CLIPPED)).double()
+        weight = whole / whole.sum(dim=0).clamp_min(1)
+        middle, wanted = (weight * picture).sum(dim=0), (weight * target).sum(dim=0)
+        spread = picture - middle
+        variance = (weight * spread.square()).sum(dim=0)
+        gain = (weight * spread * (target - wanted)).sum(dim=0) / variance.clamp_min(1e-12)
         gain = torch.where(variance > _FLAT, gain.clamp(*_GAINS), 1.0)
         exposure.gain[number] = gain.float()
-        exposure.offset[number] = (target.mean(dim=0) - gain * picture.mean(dim=0)).float()
+        exposure.offset[number] = (wanted - gain * middle).float()
     return exposure

@@ -77,3 +77,14 @@ def test_exposures_are_found_again_from_pictures() -> None:
     flat = fitted(torch.full((1, 4, 4, 3), 0.5), torch.full((1, 4, 4, 3), 0.7), [0])
     assert (flat.gain == 1).all()
     torch.testing.assert_close(flat.offset, torch.full((1, 3), 0.2))
+
+
+def test_what_a_camera_clipped_says_nothing_of_its_exposure() -> None:
+    shown = torch.rand(1, 20, 30, 3, generator=torch.Generator().manual_seed(0))
+    bright = Exposure(torch.full((1, 3), 1.8), torch.full((1, 3), -0.2))
+    found = fitted(shown, bright.apply(shown[0], 0).clamp(0, 1)[None], [0])
+    torch.testing.assert_close(found.gain, bright.gain, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(found.offset, bright.offset, atol=1e-4, rtol=1e-4)
+    white = fitted(shown, torch.ones(1, 20, 30, 3), [0])
+    assert (white.gain == 1).all()
+    assert (white.offset == 0).all()
