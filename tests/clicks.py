@@ -50,12 +50,14 @@ def write_sounding(
     without: tuple[float, float] = (0.0, 0.0),
     pictures: Sequence[NDArray[np.uint8]] | bool = True,
     fps: int = 25,
+    sound: NDArray[np.int16] | None = None,
 ) -> None:
     """A file whose picture flashes white and whose sound clicks at each whole second of its own time.
 
     Args:
         pictures: [H,W,3] RGB, to be seen in place of the flashing ones, `fps` a second; False for none.
         begin: when its sound begins. late: how much later than flashes its clicks are.
+        sound: [N, channels] samples to be heard in place of clicks.
         without: from when to when there is no sound at all, as if packets had been lost.
     """
     layout: Any = "mono" if channels == 1 else "stereo"
@@ -73,7 +75,8 @@ def write_sounding(
                 picture.pts = number
                 container.mux(video.encode(picture))
             container.mux(video.encode(None))
-        samples, size = clicks(seconds - begin, rate, channels, begin - late), audio.frame_size or 1024
+        samples = clicks(seconds - begin, rate, channels, begin - late) if sound is None else sound
+        size = audio.frame_size or 1024
         for at in range(0, len(samples), size):
             if without[0] <= begin + at / rate < without[1]:
                 continue

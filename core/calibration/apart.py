@@ -62,15 +62,15 @@ def apart(tracks: Sequence[Track], offsets: Float64, inside: set[int], usable: i
     )
 
 
-def in_turn(tracks: Sequence[Track], board: Float64) -> InputError | None:
-    """The error for cameras that saw the board in turn, never together, by their own clocks; None if none did.
+def in_turn(tracks: Sequence[Track], offsets: Float64, board: Float64) -> InputError | None:
+    """The error for cameras that saw the board in turn, never together, by clocks that are known; None if none did.
 
     Paths of a board that no two cameras saw together may still lie alike at some wrong offset of the clocks.
 
     Args:
+        offsets: [C] seconds from each camera's clock to the common time, as far as sound tells.
         board: [J,3] corners in metres.
     """
-    offsets = np.zeros(len(tracks))
     joined = np.eye(len(tracks), dtype=bool)
     for a, b in combinations(range(len(tracks)), 2):
         joined[a, b] = joined[b, a] = _meetings(tracks, offsets, a, b).seen >= MIN_SHARED

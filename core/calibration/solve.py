@@ -9,7 +9,7 @@ import numpy as np
 
 from streamlod.core.arrays import Bool, Float64
 from streamlod.core.calibration.adjustment import rigid
-from streamlod.core.calibration.adjustment.adjust import Adjusted, AdjustedRig, adjust, misses_of
+from streamlod.core.calibration.adjustment.adjust import Adjusted, AdjustedRig, Known, adjust, misses_of
 from streamlod.core.calibration.adjustment.observations import Observations, observed
 from streamlod.core.calibration.adjustment.projection import matrix_of
 from streamlod.core.calibration.adjustment.timing import UnevenTimes, uneven_times
@@ -45,6 +45,8 @@ class Calibration:
         periods: [C] seconds between each camera's pictures.
         errors: [C,2] standard errors of directions in degrees and of places in metres, in the rig as a whole.
         uneven: [C] seconds by which each camera's times are off, a standard deviation.
+        heard: [C] such seconds as `offsets`, to any one clock, by what cameras heard; NaN where that does not tell.
+        by_sound: [C] whether a camera's offset rests on that, as the board does not tell it.
         floor_by_board: whether the board lay on the floor; else up is as the cameras are held.
         times: [I] common seconds of the instants used.
         boards: [I,3] the board's centre at these, in the world.
@@ -58,6 +60,8 @@ class Calibration:
     periods: Float64
     errors: Float64
     uneven: Float64
+    heard: Float64
+    by_sound: Bool
     floor_by_board: bool
     times: Float64
     boards: Float64
@@ -75,50 +79,59 @@ class Calibration:
         return float(np.median(np.linalg.norm(self.misses[rows], axis=1)))
 
 
-def calibrate(tracks: Sequence[Track], board: Board, known: Mapping[str, Float64] | None = None) -> Calibration:
+def calibrate(
+    tracks: Sequence[Track],
+    board: Board,
+    known: Mapping[str, Float64] | None = None,
+    heard: Float64 | None = None,
+) -> Calibration:
     """The rig whose cameras saw `tracks`.
 
     Args:
         known: lenses [9] by camera that are kept.
+        heard: [C] seconds that lead from each camera's clock to any one by sound, NaN where it does not tell; None
+            for no sound.
 
     Raises:
         InputError: a camera that saw too little, does not agree with the others, or has another lens than is known; it
             is named.
     """
     names, known = [track.camera for track in tracks], known or {}
+    heard = np.full(len(tracks), np.nan) if heard is None else heard
     check_known(tracks, known, board.corners)
     fixed = np.array([name in known for name in names])
     lenses = np.array([known[t.camera] if t.camera in known else first_lens(t, board.corners) for t in tracks])
     try:
-        return _placed(tracks, board, lenses, fixed)
+        return _placed(tracks, board, lenses, fixed, heard)
     except InputError as refusal:
-        cause = in_turn(tracks, board.corners)
+        cause = in_turn(tracks, np.nan_to_num(heard), board.corners)
         if cause is not None:  # what was refused is a wrong offset of clocks, at which paths lay alike by chance
             raise cause from refusal
         raise
 
 
-def _placed(tracks: Sequence[Track], board: Board, lenses: Float64, fixed: Bool) -> Calibration:
+def _placed(tracks: Sequence[Track], board: Board, lenses: Float64, fixed: Bool, heard: Float64) -> Calibration:
     names = [track.camera for track in tracks]
-    offsets = first_offsets(tracks, lenses, board.corners, board.centre)
-    times = chosen_instants(tracks, offsets)
-    first = first_poses(tracks, offsets, times, lenses, board.corners)
+    clocks = first_offsets(tracks, lenses, board.corners, board.centre, heard)
+    times = chosen_instants(tracks, clocks.seconds)
+    first = first_poses(tracks, clocks.seconds, times, lenses, board.corners)
     apart = independent(tracks, times)
     check_still(names, [view[apart] for view in first.views])
     placed = np.isfinite(first.boards[:, 0])
     times = times[placed]
-    scene = AdjustedRig(lenses, first.cameras, offsets, np.zeros((len(tracks), 2)), first.boards[placed])
-    found, corners, uneven = _adjusted(tracks, times, scene, board, first.root, fixed)
+    scene = AdjustedRig(lenses, first.cameras, clocks.seconds, np.zeros((len(tracks), 2)), first.boards[placed])
+    known = Known(first.root, fixed, clocks.held(first.root))
+    found, corners, uneven = _adjusted(tracks, times, scene, board, known)
     check_certainty(names, found, corners)
-    return _calibration(tracks, board, times, found, corners, uneven, first.root)
+    return _calibration(tracks, board, times, found, corners, uneven, first.root, heard, clocks.by_sound(first.root))
 
 
 def _adjusted(
-    tracks: Sequence[Track], times: Float64, scene: AdjustedRig, board: Board, root: int, fixed: Bool
+    tracks: Sequence[Track], times: Float64, scene: AdjustedRig, board: Board, known: Known
 ) -> tuple[Adjusted, Observations, UnevenTimes]:
     names, sizes = [track.camera for track in tracks], [track.size for track in tracks]
     corners = observed(tracks, times, scene.offsets, board.corners)
-    found = adjust(scene, corners, sizes, root, lenses_known=fixed)
+    found = adjust(scene, corners, sizes, known)
     check_agreement(names, corners, found.misses)
     for number in range(_MAX_ROUNDS):
         before = found.scene.offsets
@@ -128,7 +141,7 @@ def _adjusted(
             uneven = uneven_times(corners, misses, len(tracks))
         at_start = uneven.weights(corners).of_misses(misses)
         corners = corners.kept(near_enough(at_start, corners.camera))
-        found = adjust(found.scene, corners, sizes, root, lenses_known=fixed, uneven=uneven)
+        found = adjust(found.scene, corners, sizes, known, uneven)
         if np.abs(found.scene.offsets - before).max() < _SETTLED * min(track.period for track in tracks):
             break
     return found, corners, uneven
@@ -142,6 +155,8 @@ def _calibration(
     corners: Observations,
     uneven: UnevenTimes,
     root: int,
+    heard: Float64,
+    by_sound: Bool,
 ) -> Calibration:
     scene = found.scene
     floor = find_floor(scene.cameras, scene.boards, times, board.centre)
@@ -157,8 +172,7 @@ def _calibration(
     errors = found.errors * [np.degrees(1), 1]
     periods = np.array([track.period for track in tracks])
     offsets = scene.offsets - scene.offsets[root]
-    by_board = floor.by_board
     return Calibration(
-        *(tuple(cameras), root, offsets, scene.readouts, periods, errors, uneven.seconds, by_board, times, boards),
-        *(corners, found.misses),
+        *(tuple(cameras), root, offsets, scene.readouts, periods, errors, uneven.seconds, heard, by_sound),
+        *(floor.by_board, times, boards, corners, found.misses),
     )

@@ -1,7 +1,8 @@
 """First time offsets of cameras: the board's path in space, which all cameras see alike wherever they stand.
 
 For each offset of two clocks, one camera's path is turned and moved onto the other's (Kabsch, A solution for the best
-rotation to relate two sets of vectors, 1976). They lie closest at the true one.
+rotation to relate two sets of vectors, 1976). They lie closest at the true one. What cameras heard says where to look
+first, and stands in where paths do not tell.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from streamlod.core.arrays import Float64
+from streamlod.core.arrays import Bool, Float64, Int64
 from streamlod.core.calibration.adjustment import rigid
 from streamlod.core.calibration.graph import board_poses
 from streamlod.core.calibration.track import Track
@@ -28,6 +29,8 @@ _ROUNDS = 3  # of an alignment, in which what lies far off counts less and less
 _NEAR_S = 1.0  # clocks so near to each other are tried first
 _SURELY, _FAR_SCORE = 1.8, 6.0  # by what others must agree to be taken: chance has 1.2, and more in few seconds alone
 _CERTAIN = 4.0  # least score of any
+_HEARD = 1.0  # score of an offset by sound alone
+_ALIKE = 0.95  # of how close paths lie, which a walking person loses within `_STEP_S`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,28 +51,52 @@ class _Path:
         return found
 
 
-def first_offsets(tracks: Sequence[Track], lenses: Float64, board: Float64, centre: Float64) -> Float64:
-    """[C] seconds that lead from each camera's clock to that of one of them; 0 where paths do not tell.
+@dataclass(frozen=True, slots=True, eq=False)
+class FirstOffsets:
+    """Offsets of clocks before adjustment.
+
+    Attributes:
+        seconds: [C] that lead from each camera's clock to that of one of them; chance where nothing tells.
+        anchors: [C] the camera to whose clock the board's path leads; between these, sound does.
+    """
+
+    seconds: Float64
+    anchors: Int64
+
+    def by_sound(self, root: int) -> Bool:
+        """[C] whether a camera's offset to `root` rests on sound."""
+        return np.asarray(self.anchors != self.anchors[root], np.bool_)
+
+    def held(self, root: int) -> Bool:
+        """[C] whose clocks are to stay as sound has them: a still board tells nothing but its noise of them."""
+        return np.asarray(self.by_sound(root) & (self.anchors == np.arange(len(self.anchors))), np.bool_)
+
+
+def first_offsets(
+    tracks: Sequence[Track], lenses: Float64, board: Float64, centre: Float64, heard: Float64 | None = None
+) -> FirstOffsets:
+    """How far the cameras' clocks are apart.
 
     Pairs are joined from the most certain one on.
 
     Args:
         lenses: [C,9]. board: [J,3] corners. centre: [3] of the board, in metres.
+        heard: [C] such seconds by sound; NaN where it does not tell. None for no sound.
     """
     paths = [_path(track, lens, board, centre) for track, lens in zip(tracks, lenses, strict=True)]
+    by_sound = np.full(len(tracks), np.nan) if heard is None else heard
     pairs = combinations(range(len(tracks)), 2)
-    edges = sorted(((*_lag(paths[a], paths[b]), a, b) for a, b in pairs), reverse=True)
-    offsets: dict[int, float] = {0: 0.0}
-    while len(offsets) < len(tracks):
-        way = next(((lag, a, b) for _, lag, a, b in edges if (a in offsets) != (b in offsets)), None)
-        if way is None:
-            break
-        lag, a, b = way
-        if a in offsets:
-            offsets[b] = offsets[a] + lag
-        else:
-            offsets[a] = offsets[b] - lag
-    return np.array([offsets.get(number, 0.0) for number in range(len(tracks))])
+    edges = sorted(
+        ((*_lag(paths[a], paths[b], float(by_sound[b] - by_sound[a])), a, b) for a, b in pairs), reverse=True
+    )
+    seconds, anchors = {0: 0.0}, {0: 0}
+    while len(seconds) < len(tracks):
+        score, lag, a, b = next(edge for edge in edges if (edge[2] in seconds) != (edge[3] in seconds))
+        known, new, lag = (a, b, lag) if a in seconds else (b, a, -lag)
+        seconds[new] = seconds[known] + lag
+        anchors[new] = new if score == _HEARD else anchors[known]
+    order = range(len(tracks))
+    return FirstOffsets(np.array([seconds[each] for each in order]), np.array([anchors[each] for each in order]))
 
 
 def _path(track: Track, lens: Float64, board: Float64, centre: Float64) -> _Path:
@@ -79,19 +106,30 @@ def _path(track: Track, lens: Float64, board: Float64, centre: Float64) -> _Path
     return _Path(track.times[known], places, track.period)
 
 
-def _lag(a: _Path, b: _Path) -> tuple[float, float]:
-    """(score, seconds to add to the clock of b) at which two paths lie closest."""
+def _lag(a: _Path, b: _Path, heard: float) -> tuple[float, float]:
+    """(score, seconds to add to the clock of b) at which two paths lie closest.
+
+    Args:
+        heard: these seconds by sound, or NaN.
+    """
+    is_heard = bool(np.isfinite(heard))
+    otherwise = (_HEARD, heard) if is_heard else (0.0, 0.0)
     if min(len(a.times), len(b.times)) < _MIN_SAMPLES:
-        return 0.0, 0.0
+        return otherwise
     some = slice(None, None, -(-len(a.times) // _MAX_SAMPLES))
     a = _Path(a.times[some], a.places[some], a.period)
-    best = max(_score(a, b, lag, 1) for lag in np.arange(-_NEAR_S, _NEAR_S + _STEP_S, _STEP_S))
+    near = np.arange(-_NEAR_S, _NEAR_S + _STEP_S, _STEP_S)
+    best = max(_score(a, b, lag, 1) for lag in (np.concatenate([near, heard + near]) if is_heard else near))
     if best.closer < _SURELY:
         first, last = a.times[0] - b.times[-1] + _MIN_OVERLAP_S, a.times[-1] - b.times[0] - _MIN_OVERLAP_S
         far = [_score(a, b, lag, 1) for lag in np.arange(np.ceil(first / _STEP_S), last / _STEP_S) * _STEP_S]
         best = max((each for each in far if each.value > _FAR_SCORE and each.closer > _SURELY), default=best)
     found = max(_score(a, b, lag, _ROUNDS) for lag in best.lag + np.arange(-_STEP_S, _STEP_S, _FINE_S))
-    return (found.value, found.lag) if found.value > _CERTAIN else (0.0, 0.0)
+    if is_heard:  # a board held still lies as close a little before and after
+        about = [_score(a, b, heard + step, _ROUNDS).closer for step in (-_STEP_S, _STEP_S)]
+        if min(about) > _ALIKE * found.closer:
+            return otherwise
+    return (found.value, found.lag) if found.value > _CERTAIN else otherwise
 
 
 @dataclass(frozen=True, slots=True, order=True)

@@ -35,6 +35,7 @@ class WalkFootage:
         times: [K] seconds by the camera's own clock, or the table's.
         pictures: opens them: K pictures [H,W,3] RGB in order, None where one is missing.
         file: the video, or none.
+        sound: the file whose sound has the same clock, if it has any, or none.
     """
 
     camera: str
@@ -42,6 +43,7 @@ class WalkFootage:
     times: Float64
     pictures: Callable[[], Iterator[UInt8 | None]]
     file: Path | None = None
+    sound: Path | None = None
 
 
 def open_walk(path: Path) -> tuple[WalkFootage, ...]:
@@ -76,7 +78,8 @@ def _videos(path: Path, files: list[Path]) -> Iterator[WalkFootage]:
                 count = 0 if known is None else len(known)
                 raise InputError(table, f"has {count} times of {file.name}, which holds {len(times)} pictures")
             times = known
-        yield WalkFootage(file.stem, (info.width, info.height), times, _decoded(file, info), file)
+        sound = None if stated is not None or info.one_clock else file
+        yield WalkFootage(file.stem, (info.width, info.height), times, _decoded(file, info), file, sound)
 
 
 def _decoded(file: Path, info: VideoInfo) -> Callable[[], Iterator[UInt8 | None]]:

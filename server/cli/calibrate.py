@@ -49,6 +49,8 @@ def calibrate(
     from streamlod.core.calibration.files import check_folder, write_calibration
     from streamlod.core.calibration.report import advice_of, draw, table_of
     from streamlod.core.calibration.solve import calibrate as solve
+    from streamlod.core.calibration.sound.report import sound_advice
+    from streamlod.core.calibration.sound.walk import walk_offsets
     from streamlod.core.calibration.walk import open_walk
 
     described, folder = board_of(board, square_mm, data), data if out is None else out
@@ -56,10 +58,10 @@ def calibrate(
     known = {} if lenses is None else known_lenses(lenses, footage)
     check_folder(folder, overwrite=overwrite)
     seen = board_as_seen(footage, described)
-    found = solve(_tracks(footage, seen), seen, known)
+    found = solve(_tracks(footage, seen), seen, known, walk_offsets(footage))
     files = write_calibration(found, footage, folder)
     board_line = f"the board has {seen.described()}, from which all lengths follow"
-    report = "\n".join([table_of(found), *advice_of(found), board_line])
+    report = "\n".join([table_of(found), *sound_advice(found), *advice_of(found), board_line])
     write_text(folder / REPORT, report + "\n")
     draw(found, folder / _PICTURE)
     return f"{report}\n{', '.join(file.name for file in files)}, {REPORT} and {_PICTURE} written to {folder}"

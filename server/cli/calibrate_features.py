@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from streamlod.core.data.names import spoken
 from streamlod.core.errors import InputError
 from streamlod.core.files import write_text
 from streamlod.core.progress_bar import progress_bar
 from streamlod.server.cli.calibrate import REPORT, known_lenses
 
 if TYPE_CHECKING:
-    from streamlod.core.arrays import UInt8
+    from streamlod.core.arrays import Float64, UInt8
     from streamlod.core.calibration.features.solve import FeatureCalibration
     from streamlod.core.calibration.walk import WalkFootage
 
@@ -30,24 +32,28 @@ def calibrate_features(data: Path, out: Path | None, apart: str | None, lenses: 
     from streamlod.core.calibration.checks.matches import features_of
     from streamlod.core.calibration.features.solve import calibrate_by_features
     from streamlod.core.calibration.files import check_folder, write_calibration
+    from streamlod.core.calibration.sound.walk import unlike_clocks, walk_offsets
     from streamlod.core.calibration.walk import open_walk
 
     footage, folder = open_walk(data), data if out is None else out
     measured = None if apart is None else _measured(apart, [each.camera for each in footage])
     known = {} if lenses is None else known_lenses(lenses, footage)
     check_folder(folder, overwrite=overwrite)
-    instants = _instants(footage)
-    cameras = progress_bar(footage, unit="camera", desc="looking for features")
+    heard = walk_offsets(footage)
+    offsets = unlike_clocks(footage, heard)
+    timed = [replace(each, times=each.times + offset) for each, offset in zip(footage, offsets, strict=True)]
+    instants = _instants(timed)
+    cameras = progress_bar(timed, unit="camera", desc="looking for features")
     features = [[features_of(picture, _MOST) for picture in _at(each, instants)] for each in cameras]
     count = len(footage)
     steps = count * (count - 1) // 2 + count - 1  # pairs that are compared, and cameras that are placed after the first
     with progress_bar(total=steps, unit="step", desc="placing the cameras") as bar:
-        found = calibrate_by_features(footage, features, known, bar.update)
+        found = calibrate_by_features(footage, features, offsets, known, bar.update)
     if measured is not None:
         one, other, metres = measured
         found = found.scaled(metres / found.apart(one, other))
     files = write_calibration(found, footage, folder)
-    report = "\n".join([_table(found), *_advice(found, measured is not None)])
+    report = "\n".join([_table(found), *_advice(found, measured is not None), _clocks(found, heard)])
     write_text(folder / REPORT, report + "\n")
     return f"{report}\n{', '.join(file.name for file in files)} and {REPORT} written to {folder}"
 
@@ -82,10 +88,13 @@ def _at(footage: WalkFootage, instants: Sequence[float]) -> Iterator[UInt8]:
 
 
 def _table(found: FeatureCalibration) -> str:
-    lines = [f"{'camera':<16}{'features':>9}{'rms px':>8}{'focal px':>10}"]
+    lines = [f"{'camera':<16}{'features':>9}{'rms px':>8}{'focal px':>10}{'offset ms':>11}"]
     for number, camera in enumerate(found.cameras):
         focal = camera.intrinsics[0, 0]
-        lines.append(f"{camera.name[-15:]:<16}{found.counts[number]:>9}{found.rms(number):>8.2f}{focal:>10.1f}")
+        figures = (
+            f"{found.counts[number]:>9}{found.rms(number):>8.2f}{focal:>10.1f}{1000 * found.offsets[number]:>11.0f}"
+        )
+        lines.append(f"{camera.name[-15:]:<16}{figures}")
     return "\n".join(lines)
 
 
@@ -101,4 +110,18 @@ def _advice(found: FeatureCalibration, measured: bool) -> Iterator[str]:
             "no length is known: one unit is a third of the distance of the cameras from what they see; measure two "
             f"cameras from lens to lens and give --apart {found.cameras[0].name}:{found.cameras[1].name}=METRES"
         )
-    yield "z is up as the cameras are held, and 0 at the lowest that they see; clocks are taken as they are"
+    yield "z is up as the cameras are held, and 0 at the lowest that they see"
+
+
+def _clocks(found: FeatureCalibration, heard: Float64) -> str:
+    """A sentence on what became of the clocks, of which sound tells `heard` [C]."""
+    names = [camera.name for camera in found.cameras]
+    alike = [name for name, each in zip(names, heard, strict=True) if np.isfinite(each)]
+    others = [name for name in names if name not in alike]
+    if not alike:
+        return "clocks are taken as they are, as no two cameras heard the same; clap once while all film to change that"
+    if not found.offsets.any():
+        told = f"by what {spoken(alike)} heard, their clocks agree, and are taken as they are"
+    else:
+        told = f"offsets are those of what {spoken(alike)} heard, good to 3 ms a metre"
+    return f"{told}; of {spoken(others)} sound tells nothing" if others else told

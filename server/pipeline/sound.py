@@ -11,7 +11,7 @@ import numpy as np
 from streamlod.codec.sound.beside import sound_beside
 from streamlod.codec.sound.opus import SAMPLE_RATE, write_sound
 from streamlod.core.arrays import Float64
-from streamlod.core.calibration.checks.heard import RATE, rises
+from streamlod.core.calibration.sound.alike import RATE, rises
 from streamlod.core.data import Dataset
 from streamlod.core.data.dataset import Film
 from streamlod.core.data.video.sound import filmed_sound, silent_seconds, sound_channels

@@ -50,6 +50,20 @@ class AdjustedRig:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """The values that an adjustment leaves as they are.
+
+    Attributes:
+        root: camera that keeps its pose and clock.
+        lenses: [C] cameras whose lenses stay. clocks: [C] cameras whose clocks do.
+    """
+
+    root: int
+    lenses: Bool
+    clocks: Bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Adjusted:
     """An adjustment's outcome.
 
@@ -68,17 +82,14 @@ def adjust(
     scene: AdjustedRig,
     seen: Observations,
     sizes: Sequence[tuple[int, int]],
-    root: int,
-    *,
-    lenses_known: Bool,
+    known: Known,
     uneven: UnevenTimes | None = None,
 ) -> Adjusted:
     """The scene that explains `seen` best, beginning at `scene`.
 
     Args:
         sizes: (width, height) of each camera's pictures.
-        root: camera that keeps its pose and clock.
-        lenses_known: [C] cameras whose lenses stay.
+        known: what stays.
         uneven: what is known of the times of the pictures in `seen`; exact ones by default.
     """
     count = len(scene.cameras)
@@ -87,8 +98,9 @@ def adjust(
     weights = uneven.weights(seen)
     free = np.ones(len(start), bool)
     by_camera = free[: count * _PER_CAMERA].reshape(count, _PER_CAMERA)
-    by_camera[lenses_known, :9] = False
-    by_camera[root, 9 : _CLOCK + 1] = False
+    by_camera[known.lenses, :9] = False
+    by_camera[known.root, 9 : _CLOCK + 1] = False
+    by_camera[known.clocks, _CLOCK] = False
     columns = np.flatnonzero(free)
     mean, deviation = _priors(sizes)
     first = count * _PER_CAMERA

@@ -35,6 +35,7 @@ class FeatureCalibration:
 
     Attributes:
         cameras: world to camera, z up, in metres where a length was known.
+        offsets: [C] seconds to add to each camera's clock, as was known before: features tell none.
         periods: [C] seconds between each camera's pictures.
         points: [P,3] features in the world.
         counts: [C] features that place each camera.
@@ -42,15 +43,11 @@ class FeatureCalibration:
     """
 
     cameras: tuple[Camera, ...]
+    offsets: Float64
     periods: Float64
     points: Float64
     counts: tuple[int, ...]
     misses: Float64
-
-    @property
-    def offsets(self) -> Float64:
-        """[C] seconds to add to each camera's clock: none, as features tell none."""
-        return np.zeros(len(self.cameras))
 
     def rms(self, camera: int) -> float:
         """Root mean square of what one camera's features miss, in pixels."""
@@ -74,6 +71,7 @@ class FeatureCalibration:
 def calibrate_by_features(
     footage: Sequence[WalkFootage],
     features: Sequence[Sequence[Features]],
+    offsets: Float64,
     known: Mapping[str, Float64],
     on_step: Callable[[], object],
 ) -> FeatureCalibration:
@@ -82,6 +80,7 @@ def calibrate_by_features(
     Lengths are in units of a third of the cameras' distance from what they see.
 
     Args:
+        offsets: [C] seconds from each camera's clock to that of these instants.
         known: lenses [9] by camera that are kept. on_step: called as the work goes on, see `mapping.mapped`.
 
     Raises:
@@ -95,6 +94,7 @@ def calibrate_by_features(
     times = [np.diff(each.times) for each in footage]
     rig = FeatureCalibration(
         tuple(_camera(each, camera, pose) for each, camera, pose in zip(footage, found, placed, strict=True)),
+        offsets,
         np.array([float(np.median(each)) if len(each) else 1.0 for each in times]),
         points @ rigid.rotations(to_world[:3])[0].T + to_world[3:],
         tuple(camera.count for camera in found),

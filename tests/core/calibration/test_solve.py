@@ -12,10 +12,11 @@ from streamlod.core.calibration.adjustment import rigid
 from streamlod.core.calibration.graph import first_poses
 from streamlod.core.calibration.known_lens import check_known
 from streamlod.core.calibration.solve import Calibration, calibrate
+from streamlod.core.calibration.sound.report import sound_advice
 from streamlod.core.calibration.track import Track
 from streamlod.core.errors import InputError
 from tests.core.calibration.alignment import differences
-from tests.core.calibration.walks import BOARD, Rig, board_at, rig, walked
+from tests.core.calibration.walks import BOARD, Rig, board_at, rig, stopping, walked
 
 FPS = 8.0
 
@@ -129,6 +130,16 @@ def test_clips_that_began_seconds_apart_are_brought_to_one_time() -> None:
     offsets = np.array([0.0, 3.04, -2.29])
     found = calibrate(walked(truth, fps=FPS, seconds=16, offsets=offsets), BOARD, known_lenses(truth))
     assert np.abs(found.offsets - (offsets - offsets[found.root])).max() * FPS < 0.1
+
+
+@pytest.mark.long
+def test_an_offset_that_a_board_held_still_does_not_tell_stays_as_sound_has_it() -> None:
+    truth, offsets = rig(2, arc=40.0), np.array([0.0, 2.1])
+    heard = offsets + np.array([0.0, 0.004])
+    found = calibrate(stopping(truth, offsets), BOARD, known_lenses(truth), heard)
+    assert found.offsets[1] - found.offsets[0] == pytest.approx(2.104)
+    (told,) = sound_advice(found)
+    assert "the offset is that of sound, good to 3 ms a metre" in told
 
 
 @pytest.mark.long

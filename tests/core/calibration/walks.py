@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -96,6 +96,20 @@ def walked(
         stated = np.sort(clock + random.normal(0, uneven, len(clock))) if uneven else clock
         tracks.append(Track(name, rig.size, stated, corners + random.normal(0, noise, corners.shape)))
     return tracks
+
+
+def stopping(rig: Rig, offsets: Float64, seconds: float = 30.0, fps: float = 10.0) -> list[Track]:
+    """Tracks of a walk in which the board is held still for a second at a time, and is too blurred to be seen between.
+
+    A camera's clock shows the common time less its offset.
+    """
+    tracks = walked(rig, seconds, fps, offsets=offsets, boards=lambda times: board_at(2.3 * np.floor(times)))
+    found = []
+    for track, offset in zip(tracks, offsets, strict=True):
+        since = (track.times + offset) % 1.0
+        seen = ((since > 0.2) & (since < 0.8))[:, None, None]
+        found.append(replace(track, corners=np.where(seen, track.corners, np.nan)))
+    return found
 
 
 def _read_by_lines(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,17 @@ import pytest
 from typer.testing import CliRunner
 
 from streamlod.core.calibration.adjustment import rigid
+from streamlod.core.calibration.sound.alike import RATE
 from streamlod.core.calibration.trust import check_lens
 from streamlod.core.data import open_dataset
 from streamlod.core.data.lens import opencv_camera
+from streamlod.core.data.video import read_video
 from streamlod.core.errors import InputError
 from streamlod.server.cli.main import app
+from tests.clicks import write_sounding
 from tests.core.calibration.alignment import differences
-from tests.core.data.writers import write_video_clip
+from tests.core.calibration.sound.claps import claps
+from tests.core.data.writers import write_video, write_video_clip
 
 CAMERAS = 5
 
@@ -61,6 +66,33 @@ def test_cameras_side_by_side_are_calibrated_without_a_board(filmed: Path, tmp_p
     np.testing.assert_allclose(heights[0] - heights[0].mean(), heights[1] - heights[1].mean(), atol=0.05)  # z is up
     focal = np.array([[camera.intrinsics[0, 0] for camera in each] for each in (found, truth)])
     np.testing.assert_allclose(focal[0], focal[1], rtol=0.02)
+
+
+@pytest.mark.long
+def test_cameras_begun_one_after_the_other_are_timed_by_what_they_heard(filmed: Path, tmp_path: Path) -> None:
+    """All is dark until the last one is begun: by their own clocks, they would see little in common."""
+    pytest.importorskip("pycolmap", reason="calibration from features needs streamlod[features]")
+    folder, seconds = tmp_path / "walk", 8
+    folder.mkdir()
+    begins = {f"cam0{number}": begin for number, begin in enumerate((0.0, 1.2, 3.5, 0.6, 0.0))}
+    for number, (name, begin) in enumerate(begins.items()):
+        with closing(read_video(filmed / f"{name}.mp4")) as pictures:
+            light = next(pictures)[1].to_ndarray(format="rgb24")
+        dark = np.zeros_like(light)
+        lit = [light if begin + at / 10 >= 3.6 else dark for at in range(10 * seconds)]
+        sound = None if number == 4 else claps(begin, seconds, number, at=(5.1, 6.45, 6.8))
+        if sound is None:
+            write_video(folder / f"{name}.mp4", lit, 10)
+        else:
+            write_sounding(folder / f"{name}.mp4", seconds, rate=RATE, pictures=lit, fps=10, sound=sound)
+    done = CliRunner().invoke(app, ["calibrate", str(folder), "--features"])
+    assert done.exit_code == 0, done.output
+    assert "offsets are those of what cam00, cam01, cam02 and cam03 heard, good to 3 ms a metre" in done.output
+    assert "of cam04 sound tells nothing" in done.output
+    frames = json.loads((folder / "transforms.json").read_text())["frames"]
+    told = {each["file_path"]: each["time_offset"] for each in frames}
+    late = np.array([told[f"{name}.mp4"] for name in begins])
+    assert late[:4] - late[0] == pytest.approx(list(begins.values())[:4], abs=0.005)
 
 
 def test_a_lens_that_nothing_can_read_is_refused_before_it_is_written() -> None:

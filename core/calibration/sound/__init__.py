@@ -1,0 +1,1 @@
+"""Time between cameras by what they heard, beside what they saw."""
