@@ -37,7 +37,7 @@ LAYERS = {
     ),
     "server.ingest": (
         "sync board_sight", "sound", "cameras", "finding", "statistics ahead watch",
-        "knocks poses walk", "rig", "push", "live recording",
+        "knocks poses walk clap", "rig", "push", "live recording",
     ),
     "client": (
         "recording events viewpoints recorder rest_answers", "rest playback", "connection",

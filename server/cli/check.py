@@ -80,13 +80,15 @@ def _live(file: Path, settings: Settings, say: Say) -> RigCheck:
     from streamlod.server.cli.rig import phones_socket
     from streamlod.server.cli.room import judged_room
     from streamlod.server.doctor.host import usable_cores
+    from streamlod.server.ingest.clap import Clap
     from streamlod.server.ingest.live import open_live
 
     heard = threading.Event()
     rig = open_live(file, give_sound=lambda _: heard.set())
+    clap = Clap(rig.definition, say)
     with ExitStack() as stack:
         socket = phones_socket(file, rig.definition, settings, stack, say)
-        rig = replace(rig, definition=replace(rig.definition, quorum=1), push_socket=socket)
+        rig = replace(rig, definition=replace(rig.definition, quorum=1), push_socket=socket, listeners=clap.listeners)
         seconds = _LIVE_SECONDS if socket is None else _PHONE_SECONDS
         timer = threading.Timer(seconds, rig.close)
         timer.daemon = True
@@ -101,7 +103,7 @@ def _live(file: Path, settings: Settings, say: Say) -> RigCheck:
                 if frame.index % _LIVE_STEP < 2 and len(frames) < _INSTANTS:
                     (frames if frame.present.all() else partial).append(frame)
                 settled = told is None or told.sound != "" or heard.is_set()  # whether there is sound is known
-                if len(frames) == _INSTANTS and settled:
+                if len(frames) == _INSTANTS and settled and clap.is_over():
                     break
     if not frames and not partial:
         raise InputError(file, f"gave no instant within {seconds:.0f} s; see that its cameras run")
@@ -113,4 +115,4 @@ def _live(file: Path, settings: Settings, say: Say) -> RigCheck:
         name = rig.definition.sound_name
         silent = told.sound or ("" if heard.is_set() else f"no sound of {name}: it sent none within {seconds:.0f} s")
         more.append(weak(silent) if silent else fact(f"the sound of {name} is heard"))
-    return replace(found, findings=(*found.findings, *more, *judged_room(settings)))
+    return replace(found, findings=(*found.findings, *more, *clap.judged(), *judged_room(settings)))

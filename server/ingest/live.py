@@ -6,7 +6,7 @@ Pixels are converted just before training asks for them, and only for instants t
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
@@ -31,6 +31,7 @@ from streamlod.server.ingest.poses import PoseWatch
 from streamlod.server.ingest.push.intake import Intake
 from streamlod.server.ingest.push.relay import listening
 from streamlod.server.ingest.rig import Rig
+from streamlod.server.ingest.sound.listening import CameraEar
 from streamlod.server.ingest.statistics import Statistics
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import Instant
@@ -46,6 +47,7 @@ class LiveDataset(PlacedCameras):
         definition: of the rig.
         push_socket: where to take pictures that the serving process relays, while frames are read; or none.
         give_sound: takes the rig's sound as it comes, while frames are read; or none.
+        listeners: take what cameras hear meanwhile, see `Rig`.
         undistortions, space, cameras: as in `PlacedCameras`.
         rig: in operation, which takes pushed pictures; None while nothing is read.
     """
@@ -54,6 +56,7 @@ class LiveDataset(PlacedCameras):
     undistortions: tuple[Undistortion, ...]
     push_socket: Path | None = None
     give_sound: Callable[[SoundPiece], None] | None = None
+    listeners: Mapping[str, CameraEar] = field(default_factory=dict)
     space: Similarity = UNCHANGED
     cameras: tuple[Camera, ...] = field(init=False)
     frame_count: None = field(init=False, default=None)  # endless
@@ -120,7 +123,7 @@ class LiveDataset(PlacedCameras):
         index = start
         if stop is not None and index >= stop:
             return
-        rig = Rig(self.definition, self.names, self.give_sound)
+        rig = Rig(self.definition, self.names, self.give_sound, self.listeners)
         with ExitStack() as stack:
             stack.callback(self._release)
             stack.callback(rig.stop)

@@ -11,8 +11,9 @@ import re
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import av
 
@@ -21,11 +22,13 @@ from streamlod.core.arrays import Bool
 from streamlod.core.camera.grid import period_of
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.board_sight import BoardSight
+from streamlod.server.ingest.cameras.address import Address
 from streamlod.server.ingest.cameras.definition import RigDefinition
 from streamlod.server.ingest.cameras.reader import Reader
 from streamlod.server.ingest.cameras.sound_reader import SoundReader
 from streamlod.server.ingest.cameras.source_thread import ENDED, SourceThread
 from streamlod.server.ingest.sound.hearing import Hearing
+from streamlod.server.ingest.sound.listening import CameraEar, Ear, Ears
 from streamlod.server.ingest.statistics import CameraStatistics, Statistics
 from streamlod.server.ingest.sync.clock import PLAUSIBLE_NS, ClockSource
 from streamlod.server.ingest.sync.picture import Picture
@@ -65,6 +68,7 @@ class Rig:
         definition: of the rig.
         chosen: names of the cameras to read.
         give_sound: takes the pieces of the definition's sound; None where nobody listens.
+        listeners: take what cameras hear that do not push, by name; of those that do, what the definition's sound is.
 
     Attributes:
         fps: instants a second.
@@ -77,6 +81,7 @@ class Rig:
         definition: RigDefinition,
         chosen: Sequence[str],
         give_sound: Callable[[SoundPiece], None] | None = None,
+        listeners: Mapping[str, CameraEar] = MappingProxyType({}),
     ) -> None:
         self.fps, self._paced = definition.fps, definition.realtime
         self._names = tuple(chosen)
@@ -112,6 +117,7 @@ class Rig:
             self._hearing = Hearing(sound.name, give_sound, self._timeline, self._wait_for_pictures, offset_ns)
             if sound.camera is not None and sound.camera not in self._last:
                 self._hearing.gone("its camera is not used")
+        self._ears = {name: ear for name in self._names if (ear := self._ear(name, listeners)) is not None}
         self._readers: list[SourceThread] = [
             Reader(
                 camera.name,
@@ -122,16 +128,22 @@ class Rig:
                 self._timeline,
                 anchor_ns=anchor,
                 paced=self._paced,
-                hearing=self._hearing if sound is not None and sound.camera == camera.name else None,
+                hearing=self._ears.get(camera.name),
             )
             for camera, address in zip(definition.cameras, definition.addresses, strict=True)
             if camera.name in self._last and camera.name not in self.pushed
         ]
+        apart: list[tuple[Address, Ear]] = [
+            (address, self._ears[camera.name])
+            for camera, address in zip(definition.cameras, definition.addresses, strict=True)
+            if camera.name in self._ears and address.scheme == "file"
+        ]
         if self._hearing is not None and sound is not None and sound.address is not None:
-            reader = SoundReader(
-                sound.address, self.fps, self._hearing, self._timeline, anchor_ns=anchor, paced=self._paced
-            )
-            self._readers.append(reader)
+            apart.append((sound.address, self._hearing))
+        self._readers += [
+            SoundReader(address, self.fps, ear, self._timeline, anchor_ns=anchor, paced=self._paced)
+            for address, ear in apart
+        ]
 
     @property
     def now_ns(self) -> int:
@@ -242,8 +254,8 @@ class Rig:
 
     def put_sound(self, frame: av.AudioFrame, capture_ns: int) -> None:
         """Take sound that is pushed, recorded from `capture_ns` on."""
-        if self._hearing is not None:
-            self._hearing.put(frame, capture_ns)
+        if self._sound is not None and (ear := self._ears.get(self._sound.camera or "")) is not None:
+            ear.put(frame, capture_ns)
 
     def genlock_epoch_ns(self, number: int) -> int:
         """When frame number 0 of a genlocked rig was taken; the first number asked about came just now."""
@@ -342,6 +354,13 @@ class Rig:
                 sound,
                 self._pose_faults,
             )
+
+    def _ear(self, camera: str, listeners: Mapping[str, CameraEar]) -> Ear | None:
+        """The taker of the sound that the camera's connection brings, if anything wants it."""
+        ears: list[Ear] = [listeners[camera]] if camera in listeners else []
+        if self._hearing is not None and self._sound is not None and self._sound.camera == camera:
+            ears.append(self._hearing)
+        return Ears(ears) if len(ears) > 1 else next(iter(ears), None)
 
     def _wait_for_pictures(self, capture_ns: int) -> None:
         """Sound of an unpaced file does not run ahead of the pictures, nor they of it."""

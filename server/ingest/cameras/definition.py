@@ -39,6 +39,7 @@ from streamlod.server.ingest.cameras.sound_source import SoundSource, choose_sou
 _LOG = logging.getLogger(__name__)
 
 _MAX_BYTES = 1 << 20
+_MAX_OFFSET_MS = 60_000.0
 _Row3 = tuple[float, float, float]
 _Row4 = tuple[float, float, float, float]
 
@@ -55,6 +56,7 @@ class _CameraEntry(_Strict):
     intrinsics: tuple[_Row3, _Row3, _Row3] | None = None
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     world_to_camera: tuple[_Row4, _Row4, _Row4, _Row4] | None = None
+    offset_ms: float = Field(default=0.0, ge=-_MAX_OFFSET_MS, le=_MAX_OFFSET_MS)
 
 
 class _Quorum(_Strict):
@@ -94,8 +96,8 @@ class RigDefinition:
         depth_bounds: nearest and farthest depth of the scene in the calibration's units, or none.
         read_points: reads the points that came with the calibration into a space, or none.
         sound: what is heard; None for nothing.
-        offsets_ns: nanoseconds that are added to the times of a camera's pictures, by its name: what a board walk that
-            these cameras recorded live has shown. Cameras that are not named have none.
+        offsets_ns: nanoseconds that are added to the times of a camera's pictures, by its name: what the file says, and
+            what a board walk that these cameras recorded live has shown beside that. Others have none.
     """
 
     path: Path
@@ -142,15 +144,17 @@ def read_definition(source: Path | dict[str, Any]) -> RigDefinition:
         raise InputError(path, "realtime can be false only where all sources are files")
     if file.calibration is None:
         cameras = calibrated = tuple(_camera(path, entry) for entry in file.cameras)
-        read_points, offsets = None, dict[str, int]()
+        read_points, walked = None, dict[str, int]()
     else:
         recording = open_dataset(path.parent / file.calibration).recording
         calibrated, read_points = recording.cameras, recording.read_points
         known = {camera.name: camera for camera in calibrated}
         cameras = tuple(_known(path, entry, known) for entry in file.cameras)
-        bounds, offsets = bounds or recording.depth_bounds, _offsets(recording)
+        bounds, walked = bounds or recording.depth_bounds, _offsets(recording)
     space = training_space(calibrated, bounds)
     sound = _sound(path, file, addresses)
+    stated = _stated(file)
+    offsets = {name: stated.get(name, 0) + walked.get(name, 0) for name in {**stated, **walked}}
     return RigDefinition(
         path, cameras, addresses, file.fps, quorum, space, file.realtime, bounds, read_points, sound, offsets
     )
@@ -173,7 +177,9 @@ def read_uncalibrated(path: Path) -> RigDefinition:
         cameras.append(Camera(entry.name, lens, np.eye(4), entry.width, entry.height, np.zeros(5)))
     addresses = _addresses(path, file)
     sound = _sound(path, file, addresses)
-    return RigDefinition(path, tuple(cameras), addresses, file.fps, 1, UNCHANGED, file.realtime, sound=sound)
+    return RigDefinition(
+        *(path, tuple(cameras), addresses, file.fps, 1, UNCHANGED, file.realtime), sound=sound, offsets_ns=_stated(file)
+    )
 
 
 def _read(source: Path | dict[str, Any]) -> tuple[Path, _File]:
@@ -190,6 +196,10 @@ def _read(source: Path | dict[str, Any]) -> tuple[Path, _File]:
         double = next(name for name in names if names.count(name) > 1)
         raise InputError(path, f"describes two cameras called {double}; give each a name of its own")
     return path, file
+
+
+def _stated(file: _File) -> dict[str, int]:
+    return {entry.name: round(1_000_000 * entry.offset_ms) for entry in file.cameras if entry.offset_ms}
 
 
 def _offsets(walk: RawRecording) -> dict[str, int]:

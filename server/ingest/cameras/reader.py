@@ -23,7 +23,7 @@ from streamlod.server.ingest.cameras.live_decoding import LiveDecoding
 from streamlod.server.ingest.cameras.opening import open_source
 from streamlod.server.ingest.cameras.reports import Reports, bytes_of, media_ns_of
 from streamlod.server.ingest.cameras.source_thread import SourceThread
-from streamlod.server.ingest.sound.hearing import Hearing
+from streamlod.server.ingest.sound.listening import Ear
 from streamlod.server.ingest.sync.clock import CaptureClock, CaptureTime, ClockSource, Sighting, read_timecode
 from streamlod.server.ingest.sync.picture import Picture, one_at_a_time
 from streamlod.server.ingest.sync.timeline import Timeline
@@ -65,7 +65,7 @@ class Reader(SourceThread):
         *,
         anchor_ns: int,
         paced: bool = True,
-        hearing: Hearing | None = None,
+        hearing: Ear | None = None,
     ) -> None:
         super().__init__(f"camera {camera}", address)
         self.camera = camera

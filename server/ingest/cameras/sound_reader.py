@@ -13,7 +13,7 @@ from streamlod.server.ingest.cameras.address import Address
 from streamlod.server.ingest.cameras.opening import open_source
 from streamlod.server.ingest.cameras.reports import Reports, media_ns_of
 from streamlod.server.ingest.cameras.source_thread import SourceThread
-from streamlod.server.ingest.sound.hearing import Hearing
+from streamlod.server.ingest.sound.listening import Ear
 from streamlod.server.ingest.sync.clock import CaptureClock, Sighting
 from streamlod.server.ingest.sync.timeline import Timeline
 
@@ -33,7 +33,7 @@ class SoundReader(SourceThread):
     """
 
     def __init__(
-        self, address: Address, fps: float, hearing: Hearing, timeline: Timeline, *, anchor_ns: int, paced: bool
+        self, address: Address, fps: float, hearing: Ear, timeline: Timeline, *, anchor_ns: int, paced: bool
     ) -> None:
         super().__init__(f"sound of {hearing.source}", address)
         self._fps, self._hearing, self._timeline = fps, hearing, timeline

@@ -13,6 +13,7 @@ import pytest
 from streamlod.core.arrays import UInt8
 from streamlod.core.data.video.file import ONE_CLOCK
 from streamlod.core.errors import InputError
+from streamlod.server.ingest.cameras.definition import read_uncalibrated
 from streamlod.server.ingest.live import open_live
 from tests.core.data.writers import copy_video, put_display_matrix, rig, write_transforms, write_video
 from tests.server.ingest.rig import FPS, burnt, number_of, write_definition
@@ -82,6 +83,22 @@ def test_offsets_of_a_walk_on_one_clock_hold_live_too(tmp_path: Path, comment: s
     live.write_text(json.dumps({"fps": FPS, "calibration": "walk", "realtime": False, "cameras": entries}))
     seen = [[number_of(image) for image in frame.images] for frame in open_live(live).frames() if frame.present.all()]
     assert seen == [[t, t - late] for t in range(late, 12)]
+
+
+def test_an_offset_that_the_file_states_is_added(tmp_path: Path) -> None:
+    for name in "ab":
+        _write(tmp_path / f"{name}.mp4")
+    live = write_definition(tmp_path, ["a.mp4", "b.mp4"], realtime=False)
+    stated = json.loads(live.read_text())
+    stated["cameras"][1]["offset_ms"] = 2000 / FPS
+    live.write_text(json.dumps(stated))
+    seen = [[number_of(image) for image in frame.images] for frame in open_live(live).frames() if frame.present.all()]
+    assert seen == [[t, t - 2] for t in range(2, 12)]
+    assert read_uncalibrated(live).offsets_ns == {"cam1": round(2e9 / FPS)}  # a walk is recorded with it
+    stated["cameras"][1]["offset_ms"] = 1e6
+    live.write_text(json.dumps(stated))
+    with pytest.raises(InputError, match=r"cameras\.1\.offset_ms"):
+        open_live(live)
 
 
 def test_files_that_begin_or_pause_long_after_the_others(tmp_path: Path) -> None:
