@@ -141,7 +141,7 @@ def render_view(spec: SyntheticSpec, index: int, camera: Camera) -> UInt8:
 
 def develop(radiance: Float64, spec: SyntheticSpec, index: int, camera_index: int) -> UInt8:
     """The picture that a camera takes of linear light [H,W,3]: exposure, film curve, gamma 2, noise, 8 bits."""
-    exposed = radiance * (spec.place.brightness * exposures(spec)[camera_index])
+    exposed = radiance * (spec.place.brightness * exposures(spec, index)[camera_index])
     levels = 255.0 * np.sqrt(1.0 - np.exp(-exposed))
     if spec.noise > 0:
         generator = np.random.default_rng([spec.seed, camera_index, index])

@@ -15,6 +15,7 @@ from streamlod.core.synthetic.kind import CameraArc, Kind
 from streamlod.core.synthetic.kinds import KINDS
 
 _MAX_PIXELS = 4096 * 4096
+_DRIFT_SECONDS = 8.0  # in which exposures drift up, down and back
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +29,8 @@ class SyntheticSpec:
         seed: of the textures, the arrangement and the noise.
         noise: standard deviation of the camera noise in grey levels of 255.
         exposure_spread: standard deviation of the cameras' exposures in stops; cam00 has the nominal one.
+        exposure_drift: standard deviation of how far they drift away from that in stops, and back, as automatic ones
+            do; cam00's stays.
         still: whether nothing moves (the noise still does).
         fps: frames a second.
         kind: the place, a name in `kinds.KINDS`.
@@ -44,6 +47,7 @@ class SyntheticSpec:
     seed: int = 0
     noise: float = 1.0
     exposure_spread: float = 0.0
+    exposure_drift: float = 0.0
     still: bool = False
     fps: float = 30.0
     kind: str = "room"
@@ -58,6 +62,7 @@ class SyntheticSpec:
             ("seed", self.seed, 0, 2**31 - 1),
             ("noise", self.noise, 0.0, 100.0),
             ("exposure_spread", self.exposure_spread, 0.0, 4.0),
+            ("exposure_drift", self.exposure_drift, 0.0, 4.0),
             ("fps", self.fps, 1e-3, 1000.0),
             ("speed", self.speed, 0.0, 100.0),
         ):
@@ -113,11 +118,16 @@ def _eye(rig: CameraArc, turn: float, height: float) -> Float64:
     return np.array([rig.target[0] + x, y, height])
 
 
-def exposures(spec: SyntheticSpec) -> Float64:
-    """[C,3] factors on linear light of each camera's channels: its exposure times its white balance."""
-    generator = np.random.default_rng([spec.seed, 77])
-    stops = spec.exposure_spread * generator.standard_normal((spec.cameras, 1))
-    balance = 0.25 * spec.exposure_spread * generator.standard_normal((spec.cameras, 3))
-    factors = np.asarray(2.0 ** (stops + balance), np.float64)
-    factors[0] = 1.0
-    return factors
+def exposures(spec: SyntheticSpec, index: int = 0) -> Float64:
+    """[C,3] factors on linear light of each camera's channels at a frame: its exposure times its white balance."""
+    drifted = spec.exposure_drift * math.sin(2 * math.pi * index / (spec.fps * _DRIFT_SECONDS))
+    stops = spec.exposure_spread * _stops(spec, 77) + drifted * _stops(spec, 78)
+    stops[0] = 0.0
+    return np.asarray(2.0**stops, np.float64)
+
+
+def _stops(spec: SyntheticSpec, stream: int) -> Float64:
+    """[C,3] normal values for each camera, and a quarter of that again for each of its channels."""
+    generator = np.random.default_rng([spec.seed, stream])
+    together = generator.standard_normal((spec.cameras, 1))
+    return np.asarray(together + 0.25 * generator.standard_normal((spec.cameras, 3)), np.float64)

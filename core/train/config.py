@@ -85,10 +85,11 @@ class KeyframeConfig:
         0.03,
         "Adam's rate of features",
         reading(0.02, "none given; those of Octree-GS are for 40,000 steps (docs/method.md, reading 12)"),
+        most=10,
     )
-    offset_rate: float = setting(0.06, "Adam's rate of offsets, in cells", reading(0.04, "as feature_rate"))
-    scaling_rate: float = setting(0.045, "Adam's rate of log-scales", reading(0.03, "as feature_rate"))
-    network_rate: float = setting(0.0075, "Adam's rate of the network", reading(0.005, "as feature_rate"))
+    offset_rate: float = setting(0.06, "Adam's rate of offsets, in cells", reading(0.04, "as feature_rate"), most=10)
+    scaling_rate: float = setting(0.045, "Adam's rate of log-scales", reading(0.03, "as feature_rate"), most=10)
+    network_rate: float = setting(0.0075, "Adam's rate of the network", reading(0.005, "as feature_rate"), most=10)
     final_rate: float = setting(
         0.1,
         "share of themselves to which rates decay; those of features and scalings to its square root",
@@ -241,12 +242,13 @@ class PredictConfig:
         reading(0.0, "not mentioned: pictures of full size from the start"),
     )
     latent_rate: float = setting(
-        0.3, "Adam's rate of latents, in steps", reading(0.2, "none given (docs/method.md, reading 12)")
+        0.3, "Adam's rate of latents, in steps", reading(0.2, "none given (docs/method.md, reading 12)"), most=1000
     )
     position_rate: float = setting(
         0.2,
         "Adam's rate of positions, in pixels of the camera that shows an anchor largest",
         reading(0.2, "none given (docs/method.md, reading 12)"),
+        most=1000,
     )
     memory: float = setting(
         0.6,

@@ -29,6 +29,7 @@ from streamlod.core.train.growth.near_space import near_space
 from streamlod.core.train.keyframe.refresh import refresh_config
 from streamlod.core.train.keyframe.seeding import seed_field
 from streamlod.core.train.keyframe.trainer import KeyframeTrainer
+from streamlod.core.train.later_frame.colour_drift import followed, without_drift
 from streamlod.core.train.later_frame.frame import Means, train_later_frame
 from streamlod.core.train.later_frame.references import as_filmed
 from streamlod.core.train.later_frame.state import KnownPictures, State, fresh_state, no_pictures
@@ -71,6 +72,7 @@ class Trainer:
         self._device = backends.GPU if self._backend in backends.ON_GPU else "cpu"
         self._engine_of = named_engine(config, self._backend, self._device)
         self._exposure = neutral(len(cameras), self._device)
+        self._drift = neutral(len(cameras), self._device)  # of the cameras' exposures since the latest first frame
         self._refit_exposure = False
         self._first_count = 0  # anchors of the first frame since the start
         self._clock = clock
@@ -112,6 +114,7 @@ class Trainer:
         with watch.stage("round"):
             scene = preview()
             self._exposure, self._first_count = trainer.exposure, scene.anchor_count
+            self._drift = neutral(len(self._cameras), self._device)
             self._state = as_filmed(self._fresh(scene), views, views.usable)
         return _as_keyframe(scene, losses, trainer.broken, watch)
 
@@ -130,7 +133,7 @@ class Trainer:
             scene = as_keyframe(state.scene, state.scene.version)
             self.resume(scene, keep_references=True)
             return TrainedFrame(scene, None, FrameReport({}, 0, scene.anchor_count, scene.anchor_count, 0.0))
-        views = self._views(frames)
+        views = without_drift(self._views(frames), self._drift, state.known.references)
         with watch.stage("refresh"):
             # which anchors a step draws is left to training
             field = replace(state.field.with_rows(torch.nonzero(state.alive)[:, 0]), by_distance=False)
@@ -183,6 +186,7 @@ class Trainer:
         self._budget.start()
         with watch.stage("compare"):
             state, unknown = self._with_pictures(state, views)
+            views = self._without_drift(views, state.known.references, unknown)
         means = Means(
             config=self._config,
             plan=UNLIMITED if self._rate is None else self._rate.plan(),
@@ -230,13 +234,21 @@ class Trainer:
             raise ModelError(f"frame {frames.index} has no picture from any camera")
         return Views(self._cameras, self._uploader.take(frames), usable)
 
+    def _without_drift(self, views: Views, references: Tensor, unknown: list[int]) -> Views:
+        """`views` as cameras would film them that had not drifted since they were first seen; `unknown` are now."""
+        if not self._config.model.exposure:
+            return views
+        known = [number for number in views.usable if number not in unknown]
+        self._drift = followed(self._drift, views, references, known)
+        return without_drift(views, self._drift, references)
+
     def _scene_of(self, trainer: KeyframeTrainer, version: int) -> Scene:
         precision, cell = trainer.precision, trainer.motion_cell
         scene = scene_of(trainer.field, self._config.predict, self._rig, self._fps, version, precision, cell)
         if not self._config.model.exposure:
             return scene
         names = (camera.name for camera in self._cameras)
-        known = dict(zip(names, trainer.exposure.of_cameras(), strict=True))
+        known = dict(zip(names, trainer.exposure.then(self._drift).of_cameras(), strict=True))
         told = tuple(known.get(camera.name, NEUTRAL) for camera in self._rig)  # some of the rig's may not train
         return replace(scene, metadata=Metadata(exposures=told))
 

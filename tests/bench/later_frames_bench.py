@@ -107,7 +107,8 @@ def warm_up(cameras: tuple[Camera, ...], start: Scene, frame: FrameSet) -> None:
 def main() -> None:
     options = _options()
     width, height = map(int, options.size.split("x"))
-    spec = SyntheticSpec(frames=options.frames, width=width, height=height, still=options.still)
+    size = {"frames": options.frames, "width": width, "height": height}
+    spec = SyntheticSpec(**size, still=options.still, exposure_drift=options.drift)
     clip = open_synthetic(spec)
     rows = [clip.names.index(name) for name in linspace_split(clip.names, options.views, ("cam00",)).train]
     cameras, filmed = tuple(clip.cameras[row] for row in rows), list(clip.frames())
@@ -179,6 +180,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--budget-ms", type=float, help="frame budget, of CPU time, so that other work does not count")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--still", action="store_true", help="nothing moves but the noise")
+    parser.add_argument("--drift", type=float, default=0.0, help="of the cameras' exposures, in stops")
     parser.add_argument("--errors", action="store_true", help="print where the error lies, every tenth frame")
     parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE,...")
     return parser.parse_args()

@@ -19,7 +19,7 @@ from streamlod.core.train.field.decode import Splats
 
 _FLAT = 1e-4  # variance of grey values in units of [0, 1], below which a picture says nothing about gain
 _GAINS = (0.25, 4.0)
-_CLIPPED = 1.5 / 255  # nearer to black or full brightness, a pixel does not say how dark or bright it was
+CLIPPED = 1.5 / 255  # nearer to black or full brightness, a pixel does not say how dark or bright it was
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +53,10 @@ class Exposure:
         gains = self.gain.detach().clamp(1 / MAX_GAIN, MAX_GAIN).tolist()
         offsets = self.offset.detach().clamp(-MAX_OFFSET, MAX_OFFSET).tolist()
         return tuple(CameraExposure(tuple(gain), tuple(offset)) for gain, offset in zip(gains, offsets, strict=True))
+
+    def then(self, later: Exposure) -> Exposure:
+        """This one and after it `later`."""
+        return Exposure(later.gain * self.gain, torch.addcmul(later.offset, later.gain, self.offset))
 
     def frozen(self) -> Exposure:
         """The same values, no longer trained."""
@@ -97,7 +101,7 @@ def fitted(shown: Tensor, targets: Tensor, cameras: list[int]) -> Exposure:
     exposure = neutral(len(shown), shown.device)
     for number in cameras:
         picture, target = (pictures[number].flatten(0, 1).double() for pictures in (shown, targets))
-        whole = ((target > _CLIPPED) & (target < 1 - _CLIPPED)).double()
+        whole = ((target > CLIPPED) & (target < 1 - CLIPPED)).double()
         weight = whole / whole.sum(dim=0).clamp_min(1)
         middle, wanted = (weight * picture).sum(dim=0), (weight * target).sum(dim=0)
         spread = picture - middle

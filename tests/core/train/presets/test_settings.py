@@ -64,6 +64,7 @@ def test_parts_are_left_out_and_keep_their_settings() -> None:
         ({"keyframe.growth_interval": 0}, "a whole number from 1 to"),
         ({"predict.position_steps_per_cell": 0}, "a whole number from 1 to"),
         ({"predict.partition_interval": 0}, "a whole number from 1 to"),
+        ({"keyframe.feature_rate": 1e6}, "a number from 0 to 10, not"),
         ({"predict.memory": 1}, "a number from 0 to 0.999, not 1"),
         ({"parts": "flow_serch"}, "did you mean flow_search"),
         ({"parts": "flow_search+flow_search"}, "twice"),
