@@ -20,7 +20,7 @@ _DARK = 0.1  # cells below say little about a gain
 _MOST, _LEAST = 0.5, 0.1  # of the cells that are not clipped, and of all of them, that must agree
 _FLAT = 1e-3  # variance of cells below which a picture says nothing of gain and offset apart
 _MAX_GAIN, _MAX_OFFSET = 2.0, 0.25  # farther away, a picture is left as it is filmed
-_SEEN = 1 / 255  # a smaller change is none
+_SEEN = 0.02  # a smaller change counts as none, as of what moves (`PredictConfig.noise_floor`)
 
 
 def followed(drift: Exposure, views: Views, references: Tensor, known: list[int]) -> Exposure:

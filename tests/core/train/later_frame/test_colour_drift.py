@@ -111,6 +111,7 @@ def test_a_camera_that_is_not_known_is_not_judged() -> None:
     assert bool(without_drift(views, drift, unknown).targets.isfinite().all())
 
 
+@pytest.mark.long
 def test_a_thousand_frames_end_where_they_began() -> None:
     drift, reference = neutral(COUNT), scene()
     for index in range(1000):
@@ -124,18 +125,19 @@ def test_a_thousand_frames_end_where_they_began() -> None:
     torch.testing.assert_close(end.gain, torch.ones(COUNT, 3), atol=0.02, rtol=0)
 
 
-def test_a_still_scene_is_not_trained_for_a_drifting_camera_and_players_are_told() -> None:
-    spec = SyntheticSpec(cameras=5, frames=40, width=96, height=54, seed=1, still=True, fps=20.0, exposure_drift=0.6)
+@pytest.mark.long
+def test_a_still_scene_is_hardly_trained_for_drifting_cameras_and_players_are_told() -> None:
+    spec = SyntheticSpec(cameras=5, frames=31, width=96, height=54, seed=1, still=True, exposure_drift=0.5)
     clip = open_synthetic(spec)
-    frames = [frame for frame in clip.frames() if frame.index % 10 == 0]
-    assert np.abs(frames[3].images.astype(int) - frames[0].images).mean() > 4, "nothing drifts here"
+    frames = list(clip.frames())
     trainer = Trainer(clip.cameras, small_config(), clip.fps, "cpu")
-    first = trainer.keyframe(frames[0], true_points(spec))
-    trained = [int(frame.dynamic.sum()) for frame in map(trainer.predict, frames[1:]) if frame.dynamic is not None]
-    assert sum(trained) < 0.02 * first.scene.anchor_count * len(trained)
-    renewed = trainer.refresh(frames[3]).scene
-    for number in range(5):
-        told = [scene.metadata.exposures[number].gain for scene in (first.scene, renewed) if scene.metadata.exposures]
-        now, then = (frames[i].images[number].astype(float).mean(axis=(0, 1)) for i in (3, 0))
-        if abs(math.log(float((now / then).mean()))) > 0.05:
-            assert np.sign(np.mean(told[1]) - np.mean(told[0])) == np.sign(float((now - then).mean()))
+    first = trainer.keyframe(frames[0], true_points(spec)).scene
+    trained = [trainer.predict(frame).report.dynamic for frame in frames[1:]]
+    assert np.mean(trained) < 0.01 * first.anchor_count
+    told, before = trainer.refresh(frames[-1]).scene.metadata.exposures, first.metadata.exposures
+    brighter = [(frames[-1].images[i].mean() / frames[0].images[i].mean()) for i in range(5)]
+    number = int(np.argmax(np.abs(np.log(brighter))))
+    assert abs(brighter[number] - 1) > 0.05, "nothing drifts here"
+    assert told is not None
+    assert before is not None
+    assert np.sign(np.mean(told[number].gain) - np.mean(before[number].gain)) == np.sign(brighter[number] - 1)
