@@ -7,6 +7,7 @@ import logging
 import numpy as np
 
 from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.completion import completed, share_of_gaps
 from streamlod.core.initialise.method import PointSources
 from streamlod.core.initialise.methods.dataset import dataset_points
 from streamlod.core.initialise.methods.learned import learned_sweep
@@ -14,6 +15,8 @@ from streamlod.core.initialise.methods.plane_sweep import plane_sweep
 from streamlod.core.initialise.methods.random import random_points
 
 _FEW = 500  # points; fewer are no start
+_ROWS = 45  # of the pictures in which gaps are counted and filled
+_MOSTLY = 0.5  # of a picture
 _log = logging.getLogger(__name__)
 
 
@@ -23,7 +26,10 @@ def colmap_and_sweep(sources: PointSources) -> PointCloud:
 
 
 def automatic(sources: PointSources) -> PointCloud:
-    """The data set's points with those that pictures give; where both are few, random ones as well."""
+    """The data set's points with those that pictures give; where both are few, random ones as well.
+
+    Where most of what cameras see is seen by one alone, so that nothing was found there, it is filled.
+    """
     points = sources.dataset_points or PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
     several = sources.frame.present.sum() > 1
     if several:
@@ -32,7 +38,8 @@ def automatic(sources: PointSources) -> PointCloud:
         doubt = "; are the cameras where their poses say? `streamlod check` tells" if several else ""
         _log.warning("the pictures gave only %d first points%s", len(points), doubt)
         points = merged(points, random_points(sources))
-    return points
+    views = sources.views(_ROWS)
+    return completed(points, views, alone=True) if share_of_gaps(points, views) > _MOSTLY else points
 
 
 def merged(first: PointCloud, second: PointCloud) -> PointCloud:

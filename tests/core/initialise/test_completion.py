@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.ndimage import maximum_filter
 
 from streamlod.core.arrays import Float32
 from streamlod.core.camera import Camera, look_at, pinhole
 from streamlod.core.frames import PointCloud
-from streamlod.core.initialise.completion import completed, hides, nearest_depths, spread
+from streamlod.core.initialise.completion import completed, hides, nearest_depths, share_of_gaps, spread
 from streamlod.core.initialise.views import WorkingViews, pixel_centres, unproject
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -91,3 +92,29 @@ def test_a_camera_alone_gets_points_in_all_its_gaps() -> None:
 def test_a_view_of_nothing_known_stays_empty() -> None:
     behind = PointCloud(np.array([[0.0, -9.0, 0.0]], np.float32), np.ones((1, 3), np.float32))
     assert len(completed(behind, views_of(camera_at(0)))) == 1
+
+
+def test_alone_fills_what_no_other_camera_looks_at() -> None:
+    cameras = camera_at(-3.0), camera_at(3.0)
+    grid = pixel_centres(cameras[0])
+    wall = unproject(cameras[0], grid[::7], np.full(len(grid[::7]), 6.0)).astype(np.float32)
+    points = PointCloud(wall, np.ones((len(wall), 3), np.float32))
+    views = views_of(*cameras)
+    all_gaps, own = (completed(points, views, alone=alone).positions[len(wall) :] for alone in (False, True))
+    assert 0 < len(own) < len(all_gaps)
+    both = [np.isfinite(nearest_depths(own, camera)) for camera in cameras]
+    assert sum(seen.sum() for seen in both) <= len(own), "each is seen by one camera only"
+
+
+def test_gaps_are_counted_where_they_are_fewest() -> None:
+    cameras = camera_at(-9.0), camera_at(9.0)
+    grid = pixel_centres(cameras[0])
+    half = grid[grid[:, 0] < WIDTH / 2]
+    points = [
+        unproject(camera, some, np.full(len(some), 2.0))
+        for camera, some in zip(cameras, (half, grid[::99]), strict=True)
+    ]
+    cloud = PointCloud(np.concatenate(points).astype(np.float32), np.ones((len(half) + len(grid[::99]), 3), np.float32))
+    assert share_of_gaps(cloud, views_of(*cameras)) == pytest.approx(0.5, abs=0.05)
+    assert share_of_gaps(cloud, views_of(cameras[1])) > 0.7
+    assert share_of_gaps(cloud, views_of(camera_at(99.0))) == 1
