@@ -36,8 +36,8 @@ LAYERS = {
         "api", "edge", "service", "cli",
     ),
     "server.ingest": (
-        "sync board_sight", "sound", "cameras", "finding", "statistics ahead watch",
-        "knocks poses walk clap", "rig", "push", "live recording",
+        "sync board_sight", "sound", "cameras", "finding", "statistics ahead watch small_jpeg",
+        "knocks poses walk clap", "rig", "push", "live recording", "showing",
     ),
     "client": (
         "recording events viewpoints recorder rest_answers", "rest playback", "connection",

@@ -211,7 +211,10 @@ async def poster(
     dependencies=[need(Right.READ)],
 )  # fmt: skip
 async def camera_picture(stream: StreamOf, camera: str, request: Request) -> Response:
-    """A small JPEG file, about one a second, with the setting `camera_pictures` and while the stream is trained."""
+    """A small JPEG file, about one a second, with the setting `camera_pictures` and while the stream is trained.
+
+    While `streamlod rig` films, there are two a second.
+    """
     jpeg = stream.camera_pictures.get(camera)
     if jpeg is None:
         raise Problem(404, "there is no picture of this camera")

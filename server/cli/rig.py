@@ -9,20 +9,23 @@ import secrets
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from streamlod.core.data.names import spoken
-from streamlod.core.errors import BackendUnavailable, InputError
+from streamlod.core.errors import BackendUnavailable, InputError, StreamlodError
 from streamlod.core.files import write_bytes, write_text
 from streamlod.core.masking import masked
 from streamlod.server.cli.calibrate import board_of
-from streamlod.server.ingest.cameras.address import CAMERA_NAME, Address, parse_address
+from streamlod.server.ingest.cameras.address import CAMERA_NAME, parse_address
 from streamlod.server.ingest.cameras.sound_source import choose_sound
+from streamlod.server.ingest.finding.search import NamedSource, search
 
 if TYPE_CHECKING:
     from streamlod.server.ingest.cameras.definition import RigDefinition
+    from streamlod.server.ingest.finding.soap import Login
+    from streamlod.server.ingest.recording import WatchedRig
+    from streamlod.server.service.station import Station
     from streamlod.server.settings import Settings
 
 Say = Callable[[str], None]
@@ -34,19 +37,6 @@ _QUORUM_FROM = 4  # cameras: with so many a stream goes on without one of them
 _WAIT_SECONDS = 600.0  # for all cameras of a rig to deliver
 
 
-@dataclass(frozen=True, slots=True)
-class NamedSource:
-    """A camera of a rig to be written: its name, and its source as docs/ingest.md writes it."""
-
-    name: str
-    source: str
-
-    @property
-    def address(self) -> Address:
-        """Where its pictures come from."""
-        return parse_address(self.source)
-
-
 def find(
     arguments: Sequence[str],
     out: Path,
@@ -56,6 +46,7 @@ def find(
     say: Say,
     *,
     sound: str | None = None,
+    login: Login | None = None,
     overwrite: bool,
 ) -> None:
     """Write the rig's file of the sources given, or found, and a contact sheet beside it.
@@ -63,13 +54,14 @@ def find(
     Args:
         fps: pictures a second; None for those of the slowest camera, as no instant has all of them more often.
         sound: whose sound is heard: a camera's name, a microphone or a file, as docs/sound.md says.
+        login: of network cameras that are found.
     """
     from streamlod.server.ingest.finding.looking import look_through
     from streamlod.server.ingest.finding.sheet import contact_sheet
 
     if out.exists() and not overwrite:
         raise InputError(out, "exists; give it as the argument to look through its cameras, or add --overwrite")
-    sources = _named(arguments) if arguments else _searched(say)
+    sources = _named(arguments) if arguments else search(say, login)
     if not sources and not phones:
         raise InputError("rig", "found no camera whose address is known; give addresses, or --phones 4")
     looks = dict(zip(sources, look_through([each.address for each in sources], fps or _FPS, size), strict=True))
@@ -108,10 +100,13 @@ def find(
 
 
 def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings, say: Say, *, overwrite: bool) -> None:
-    """Wait until all cameras of a rig's file deliver, write a contact sheet of one instant, and record if wanted."""
+    """Wait until all cameras of a rig's file deliver, write a contact sheet of one instant, and record if wanted.
+
+    While it runs, a page of a server shows what all cameras see; without a recording it goes on for so long, too.
+    """
     from streamlod.server.ingest.cameras.definition import read_uncalibrated
     from streamlod.server.ingest.finding.sheet import contact_sheet
-    from streamlod.server.ingest.recording import first_whole, record, watching
+    from streamlod.server.ingest.recording import first_whole, go_on, record, watching
     from streamlod.server.ingest.walk import WalkWatch
 
     definition = read_uncalibrated(file)
@@ -120,21 +115,27 @@ def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings
     board = board_of(None, None, record_to or file.parent)  # before anything is waited for, as its file may be damaged
     names = [camera.name for camera in definition.cameras]
     with ExitStack() as stack:
-        rig = stack.enter_context(watching(definition, phones_socket(file, definition, settings, stack, say)))
+        place = _station(file, definition, settings, stack, say)
+        rig = stack.enter_context(watching(definition, None if place is None else place.push_socket))
+        if place is not None:
+            _show(rig, place, stack, say)
         whole = first_whole(rig, _WAIT_SECONDS, lambda missing: say(_waiting(missing)))
         pictures = {each.camera: each.load() for each in whole.pictures if each is not None}
         sheet = file.with_suffix(".jpg")
         write_bytes(sheet, contact_sheet(pictures, {}))
         say(f"{sheet}: all {len(names)} cameras at one instant")
-        if record_to is None:
-            return
-        say(f"recording {seconds:g} s into {record_to}; Ctrl-C ends it earlier")
-        record_to.mkdir(parents=True, exist_ok=True)
 
         def tell(missing: Mapping[str, str]) -> None:
             if missing:
                 say(f"trouble with {trouble_of(missing)}")
 
+        if record_to is None:
+            if place is not None:
+                say(f"showing them for {seconds:g} s; Ctrl-C ends it earlier")
+                go_on(rig, seconds, tell)
+            return
+        say(f"recording {seconds:g} s into {record_to}; Ctrl-C ends it earlier")
+        record_to.mkdir(parents=True, exist_ok=True)
         pool = stack.enter_context(ThreadPoolExecutor(1, "walk"))
         walk = WalkWatch(names, board, say, rig.show, pool)
         found = record(rig, definition, record_to, seconds, tell, walk.look)
@@ -143,6 +144,33 @@ def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings
         slow = f", {one.left_out} left out as this machine was too slow" if one.left_out else ""
         say(f"{record_to / name}.mp4: {one.pictures} pictures{slow}")
     say(f"next: streamlod calibrate {record_to}, with charuco.toml of the printed board beside or --board FILE")
+
+
+def _show(rig: WatchedRig, place: Station, stack: ExitStack, say: Say) -> None:
+    from streamlod.server.ingest.showing import showing
+
+    stack.enter_context(showing(rig, place.show))
+    say(f"what all cameras see: {place.overview}")
+
+
+def _station(file: Path, definition: RigDefinition, settings: Settings, stack: ExitStack, say: Say) -> Station | None:
+    """A server, held by `stack`, for the rig's phones, which `say` is told the pages of, and its page of all cameras.
+
+    A rig without phones does without where there can be none, as where another server has its port.
+    """
+    phones = _phones(definition)
+    try:
+        from streamlod.server.service.station import station
+
+        place = stack.enter_context(station(settings, file))
+    except (StreamlodError, ImportError) as error:
+        if phones:
+            raise
+        say(f"no page shows the cameras ({error})")
+        return None
+    if phones:
+        _show_pages(place.pages(phones), say)
+    return place
 
 
 def _heard(out: Path, name: str, cameras: Sequence[Mapping[str, Any]]) -> str:
@@ -167,23 +195,6 @@ def _named(arguments: Sequence[str]) -> list[NamedSource]:
     return found
 
 
-def _searched(say: Say) -> list[NamedSource]:
-    """Webcams of this machine; cameras of the network are told of, as their streams' addresses are not known."""
-    from streamlod.server.ingest.finding.onvif import find_network_cameras
-    from streamlod.server.ingest.finding.webcams import find_webcams
-
-    say("looking for cameras of this machine and, for three seconds, of the network")
-    webcams = find_webcams()
-    for webcam in webcams:
-        say(f"webcam{webcam.number}: {webcam.name or 'without a name'}")
-    network = find_network_cameras()
-    for camera in network:
-        say(f"{camera.address}: {camera.name or 'without a name'} (ONVIF)")
-    if network:
-        say("give the addresses of their streams: rtsp://USER:PASSWORD@ADDRESS/... as their manuals say")
-    return [NamedSource(f"webcam{webcam.number}", webcam.source) for webcam in webcams]
-
-
 def _prepared_phones(out: Path, say: Say) -> Path:
     """Settings, made where there are none: with a certificate, without which phones give no page their camera, a secret
     that keeps a phone's link good for each server of the evening, and a folder that keeps for a week what is streamed.
@@ -204,20 +215,18 @@ def _prepared_phones(out: Path, say: Say) -> Path:
     return config
 
 
+def _phones(definition: RigDefinition) -> list[str]:
+    cameras = zip(definition.cameras, definition.addresses, strict=True)
+    return [camera.name for camera, address in cameras if address.scheme == "push"]
+
+
 def phones_socket(file: Path, definition: RigDefinition, settings: Settings, stack: ExitStack, say: Say) -> Path | None:
     """The socket to which a server, held by `stack`, relays what the rig's phones film; None for a rig without phones.
 
     `say` is told the addresses of the phones' pages.
     """
-    cameras = zip(definition.cameras, definition.addresses, strict=True)
-    phones = [camera.name for camera, address in cameras if address.scheme == "push"]
-    if not phones:
-        return None
-    from streamlod.server.service.station import station
-
-    place = stack.enter_context(station(settings, file))
-    _show_pages(place.pages(phones), say)
-    return place.push_socket
+    place = _station(file, definition, settings, stack, say) if _phones(definition) else None
+    return None if place is None else place.push_socket
 
 
 def _show_pages(pages: Mapping[str, str], say: Say) -> None:

@@ -18,15 +18,16 @@ from starlette.types import Scope
 from streamlod.server.http.public_address import base_of
 
 _PAGE = (".", "index.html")
+_OTHERS = {"capture": "capture.html", "cameras": "cameras.html"}
 CODINGS = {"br": ".br", "gzip": ".gz"}  # content coding, suffix of its files; the smaller ones first
 
 
 class PageFiles(StaticFiles):
-    """A folder with index.html and capture.html. Browsers cache its files and revalidate them."""
+    """A folder with index.html, capture.html and cameras.html. Browsers cache its files and revalidate them."""
 
     async def get_response(self, path: str, scope: Scope) -> Response:
         """`path` or its compressed twin (`hatch_build.py` makes these)."""
-        path = "capture.html" if path == "capture" else path
+        path = _OTHERS.get(path, path)
         headers = Headers(scope=scope)
         accepted = _codings(headers.get("accept-encoding", ""))
         if path in _PAGE and "sec-fetch-dest" not in headers:

@@ -38,11 +38,16 @@ _ENCODER = {"preset": "ultrafast", "tune": "zerolatency", "crf": "17", "g": "30"
 
 
 class WatchedRig(Rig):
-    """A rig whose pictures are also written down while there are writers for them, paired or not."""
+    """A rig whose pictures are also written down while there are writers for them, paired or not.
+
+    Attributes:
+        newest: picture of each camera that has sent one.
+    """
 
     def __init__(self, definition: RigDefinition) -> None:
         super().__init__(definition, [camera.name for camera in definition.cameras])
         self.writers: dict[str, _Writer] = {}
+        self.newest: dict[str, Picture] = {}
         self.paces = {camera.name: Pace() for camera in definition.cameras}
         self._sights: Mapping[str, BoardSight] = {}  # of the board, while its walk is recorded
         self._heard_later = None if definition.sound is None else definition.sound.camera
@@ -50,6 +55,7 @@ class WatchedRig(Rig):
     def put(self, picture: Picture) -> None:
         """See `Rig.put`."""
         super().put(picture)
+        self.newest[picture.camera] = picture
         self.paces[picture.camera] = self.paces[picture.camera].then(self.now_ns)
         if (writer := self.writers.get(picture.camera)) is not None:
             writer.take(picture)
@@ -173,10 +179,27 @@ def record(
     }
     for writer in writers.values():
         writer.start()
-    timer = threading.Timer(seconds + _LATE_SECONDS, rig.stop)
+    rig.writers = writers
+    try:
+        go_on(rig, seconds + _LATE_SECONDS, missing, look)
+    finally:
+        rig.writers = {}
+        failures = [failure for writer in writers.values() if (failure := writer.end()) is not None]
+    if failures:
+        raise failures[0]
+    return {name: Recorded(writer.count, writer.left_out) for name, writer in writers.items()}
+
+
+def go_on(
+    rig: WatchedRig,
+    seconds: float,
+    missing: Callable[[Mapping[str, str]], None] = lambda _: None,
+    look: Callable[[Instant], object] = lambda _: None,
+) -> None:
+    """Film for so long, until the sources end or the user interrupts; the rig stops then. See `record`."""
+    timer = threading.Timer(seconds, rig.stop)
     timer.daemon = True
     timer.start()
-    rig.writers = writers
     try:
         with _telling(rig, missing):
             for instant in rig.instants():
@@ -185,11 +208,6 @@ def record(
         pass
     finally:
         timer.cancel()
-        rig.writers = {}
-        failures = [failure for writer in writers.values() if (failure := writer.end()) is not None]
-    if failures:
-        raise failures[0]
-    return {name: Recorded(writer.count, writer.left_out) for name, writer in writers.items()}
 
 
 def _missing(rig: Rig) -> dict[str, str]:

@@ -86,6 +86,7 @@ class Rig:
         self.fps, self._paced = definition.fps, definition.realtime
         self._names = tuple(chosen)
         self._offsets_ns = definition.offsets_ns
+        self._sizes = {camera.name: (camera.width, camera.height) for camera in definition.cameras}
         self._epoch_ns: int | None = None
         self._timeline = Timeline()
         self._change = threading.Condition()
@@ -105,7 +106,7 @@ class Rig:
             lost_ns=1_000_000_000 if self._paced else _FOREVER_NS,
         )
         self.pushed = {
-            camera.name: (camera.width, camera.height)
+            camera.name: self._sizes[camera.name]
             for camera, address in zip(definition.cameras, definition.addresses, strict=True)
             if camera.name in self._last and address.scheme == "push"
         }
@@ -341,6 +342,7 @@ class Rig:
                     last.knocked,
                     silences[name],
                     time_faults[name],
+                    self._sizes[name],
                 )
             return Statistics(
                 self._synchroniser.is_degraded(now),

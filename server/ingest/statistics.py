@@ -25,6 +25,7 @@ class CameraStatistics:
         knocked: whether it was; then it is not trained on.
         silent_ns: how long no picture has come; None before the first, and after the camera has gone.
         time_fault: what has been wrong with its pictures' times for seconds; None where nothing is.
+        size: width and height of its pictures.
     """
 
     state: CameraState
@@ -39,6 +40,7 @@ class CameraStatistics:
     knocked: bool = False
     silent_ns: int | None = None
     time_fault: TimeFault | None = None
+    size: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,7 @@
-"""A server for phones that film before anything is trained: its only stream waits, and its rig runs elsewhere."""
+"""A server beside a rig that films before anything is trained: its only stream waits, and its rig runs elsewhere.
+
+Phones push to it, and its page shows what all cameras see.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,10 @@ import socket
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from streamlod.core.errors import InputError
 from streamlod.server.api.push import capture_address, scope_of
@@ -28,10 +32,11 @@ _START_SECONDS = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """A running server: its address for phones, and where a rig takes what they push."""
+    """A running server: its address for phones, where a rig takes what they push, and where the rig is shown."""
 
     registry: Registry
     address: str
+    loop: asyncio.AbstractEventLoop
 
     @property
     def push_socket(self) -> Path:
@@ -39,6 +44,26 @@ class Station:
         found = self.registry.streams[STREAM].push_socket
         assert found is not None
         return found
+
+    @property
+    def overview(self) -> str:
+        """Address of the page that shows what all cameras see."""
+        return f"{self.address}/cameras"
+
+    def show(self, figures: dict[str, Any], pictures: dict[str, bytes]) -> None:
+        """Have the server tell figures of the rig and show small pictures of its cameras; from any thread.
+
+        Args:
+            figures: `Statistics` as a mapping.
+            pictures: JPEG files by camera.
+        """
+        stream = self.registry.streams[STREAM]
+
+        def take() -> None:
+            stream.ingest, stream.camera_pictures = figures, pictures
+
+        with suppress(RuntimeError):  # the server has ended
+            self.loop.call_soon_threadsafe(take)
 
     def pages(self, cameras: Sequence[str]) -> dict[str, str]:
         """Addresses of the page that films, by camera; where nobody needs a token, one for all, by an empty name.
@@ -65,7 +90,13 @@ def station(settings: Settings, rig: Path) -> Iterator[Station]:
     registry: Registry = app.state.registry
     listener = bind(settings.host, settings.port)
     server = Server(server_config(app, settings), registry, certificates_of(settings))
-    thread = threading.Thread(target=lambda: asyncio.run(_run(server, listener, rig)), name="station")
+    loops: list[asyncio.AbstractEventLoop] = []
+
+    async def run() -> None:
+        loops.append(asyncio.get_running_loop())
+        await _run(server, listener, rig)
+
+    thread = threading.Thread(target=lambda: asyncio.run(run()), name="station")
     thread.start()
     try:
         limit = time.monotonic() + _START_SECONDS
@@ -73,7 +104,7 @@ def station(settings: Settings, rig: Path) -> Iterator[Station]:
             if not thread.is_alive() or time.monotonic() > limit:
                 raise InputError("server", "does not start; see the log")
             time.sleep(0.02)
-        yield Station(registry, found_at(listener, is_tls=settings.certificate is not None))
+        yield Station(registry, found_at(listener, is_tls=settings.certificate is not None), loops[0])
     finally:
         server.should_exit = True
         thread.join()

@@ -11,10 +11,9 @@ import numpy as np
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.frames import FrameSet
+from streamlod.server.ingest.small_jpeg import small_jpeg
 
-MAX_SIDE = 320  # pixels
 _SECONDS = 1.0  # from one round of pictures to the next
-_QUALITY = 70  # of JPEG
 
 
 class CameraPictures:
@@ -40,7 +39,7 @@ class CameraPictures:
             return None
         self._newest, self._next = None, now + _SECONDS
         seen = zip(self._cameras, frame.images, frame.present, strict=True)
-        pictures = {camera.name: _small_jpeg(_upright(image, camera)) for camera, image, present in seen if present}
+        pictures = {camera.name: small_jpeg(_upright(image, camera)) for camera, image, present in seen if present}
         return bytes(msgpack.packb(pictures))
 
 
@@ -59,12 +58,3 @@ def unpack_pictures(body: bytes) -> dict[str, bytes]:
 def _upright(image: UInt8, camera: Camera) -> UInt8:
     """An image [H,W,3] turned back to how `camera` stood, where it was turned to lie like others."""
     return image if image.shape[:2] == (camera.height, camera.width) else np.rot90(image, -1)
-
-
-def _small_jpeg(image: UInt8) -> bytes:
-    """An image [H,W,3] RGB with its longer side shrunk to `MAX_SIDE`."""
-    import cv2
-
-    scale = min(1.0, MAX_SIDE / max(image.shape[:2]))
-    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    return bytes(cv2.imencode(".jpg", small[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,6 +11,11 @@ from streamlod.core.errors import InputError
 from streamlod.server.cli.app import app
 from streamlod.server.cli.given import chosen_settings, require
 from streamlod.server.cli.options import DEFAULTS, Config, Host, Insecure, Layout, Port, Seed, Tokens
+
+if TYPE_CHECKING:
+    from streamlod.server.ingest.finding.soap import Login
+
+_MAX_LOGIN = 256  # characters
 
 
 @app.command()
@@ -47,10 +52,15 @@ def rig(
     sound: Annotated[
         str | None, typer.Option(metavar="NAME|SOURCE", help="Whose sound is heard: a camera, a microphone or a file.")
     ] = None,
+    login: Annotated[
+        str | None, typer.Option(metavar="USER:PASSWORD", help="Of network cameras that are looked for (ONVIF).")
+    ] = None,
     record: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Record the cameras of a rig.json, a video each, to calibrate.")
     ] = None,
-    seconds: Annotated[float, typer.Option(min=1, max=7200, help="How long to record.")] = 60.0,
+    seconds: Annotated[
+        float, typer.Option(min=1, max=7200, help="How long to record, or to show what cameras see.")
+    ] = 60.0,
     config: Config = None,
     host: Host = None,
     port: Port = None,
@@ -61,12 +71,15 @@ def rig(
     """Find cameras and write rig.json, with a picture of what each sees; or watch and record those of a rig.json.
 
     While it records, it tells what the cameras still need to see of a calibration board that somebody walks about with.
-    Phones are shown a QR code of the page /capture, on which they film. Host, port and rights are those of serve.
+    Its page /cameras shows all pictures at once. Phones are shown a QR code of the page /capture, on which they film.
+    Host, port and rights are those of serve.
     """
     from streamlod.server.cli.commands import picture_size
     from streamlod.server.cli.rig import find, watch
 
     given = sources or []
+    if login is not None and given:
+        raise InputError("--login", "is for cameras that are looked for; write rtsp://USER:PASSWORD@... as a source")
     if len(given) == 1 and given[0].endswith(".json"):
         if sound is not None:
             raise InputError("--sound", f"is for a new rig; write it into the field sound of {given[0]}")
@@ -76,7 +89,19 @@ def rig(
         raise InputError("--record", "records the cameras of a rig.json; write that first, and give it")
     else:
         wanted = None if size is None else picture_size(size)
-        find(given, out, phones, wanted, fps, typer.echo, sound=sound, overwrite=overwrite)
+        find(given, out, phones, wanted, fps, typer.echo, sound=sound, login=_login(login), overwrite=overwrite)
+
+
+def _login(text: str | None) -> Login | None:
+    """A user and a password, which may hold colons."""
+    from streamlod.server.ingest.finding.soap import Login
+
+    if text is None:
+        return None
+    user, colon, password = text.partition(":")
+    if not (user and colon and text.isprintable() and len(text) <= _MAX_LOGIN):
+        raise InputError("--login", "write USER:PASSWORD")
+    return Login(user, password)
 
 
 @app.command()

@@ -1,7 +1,8 @@
 """Cameras of the network: one probe of WS-Discovery, as the core specification of ONVIF has it, and who answers.
 
 Anybody may answer, with anything. So an answer is bounded in size and number, document type declarations, which alone
-can define entities, are refused before anything is parsed, and all that is taken from it is a name.
+can define entities, are refused before anything is parsed, and all that is taken from it is a name, and where the same
+device tells more.
 """
 
 from __future__ import annotations
@@ -12,10 +13,11 @@ import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
 from urllib.parse import unquote
-from xml.etree import ElementTree as Xml
+
+from streamlod.server.ingest.finding.soap import envelope_in, is_service_of
 
 GROUP = ("239.255.255.250", 3702)
-_SECONDS = 3.0
+SECONDS = 3.0
 _MAX_ANSWER_BYTES = 16384
 _MAX_ANSWERS = 512  # of all together; cameras repeat themselves
 _MAX_CAMERAS = 64
@@ -33,14 +35,21 @@ _PROBE = f"""<?xml version="1.0" encoding="utf-8"?>
 
 @dataclass(frozen=True, slots=True)
 class NetworkCamera:
-    """A device that says it is a camera: the address from which it answered, and the name it gives itself, or none."""
+    """A device that says it is a camera.
+
+    Attributes:
+        address: from which it answered.
+        name: that it gives itself; empty where it gives none.
+        service: its HTTP address at which it tells more; None where it names none of its own.
+    """
 
     address: str
     name: str
+    service: str | None = None
 
 
 def find_network_cameras(
-    group: tuple[str, int] = GROUP, seconds: float = _SECONDS, most: int = _MAX_CAMERAS
+    group: tuple[str, int] = GROUP, seconds: float = SECONDS, most: int = _MAX_CAMERAS
 ) -> tuple[NetworkCamera, ...]:
     """The cameras that answer within `seconds`, in the order of their addresses; none where there is no network.
 
@@ -55,9 +64,9 @@ def find_network_cameras(
             udp.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 1)
             udp.sendto((_PROBE % question).encode(), group)
             for data, address in _answers(udp, seconds):
-                name = name_in(data, question)
-                if name is not None and (address in found or len(found) < most):
-                    found[address] = NetworkCamera(address, name)
+                camera = camera_in(data, question, address)
+                if camera is not None and (address in found or len(found) < most):
+                    found[address] = camera
     except OSError:  # no way to the group
         return ()
     return tuple(sorted(found.values(), key=lambda each: socket.inet_aton(each.address)))
@@ -78,20 +87,16 @@ def _answers(udp: socket.socket, seconds: float) -> Iterator[tuple[bytes, str]]:
             yield data, address
 
 
-def name_in(data: bytes, question: str) -> str | None:
-    """The name in a camera's answer, empty where it gives none; None for what is no answer to `question`."""
-    try:
-        text = data.decode()
-        if "<!" in text:  # a document type declaration, or a comment, which no answer needs
-            return None
-        envelope = Xml.fromstring(text)
-    except (ValueError, Xml.ParseError):
-        return None
-    if (envelope.findtext(f".//{{{_ADDRESSING}}}RelatesTo") or "").strip() != question:
+def camera_in(data: bytes, question: str, address: str) -> NetworkCamera | None:
+    """The camera that sent an answer from an address; None for what is no answer to `question`."""
+    envelope = envelope_in(data)
+    if envelope is None or (envelope.findtext(f".//{{{_ADDRESSING}}}RelatesTo") or "").strip() != question:
         return None
     match = envelope.find(f".//{{{_DISCOVERY}}}ProbeMatch")
     if match is None:
         return None
     scopes = (match.findtext(f"{{{_DISCOVERY}}}Scopes") or "").split()
     names = (unquote(scope[len(_NAME_SCOPE) :]) for scope in scopes if scope.startswith(_NAME_SCOPE))
-    return "".join(each if each.isprintable() else " " for each in next(names, ""))[:_MAX_NAME].strip()
+    name = "".join(each if each.isprintable() else " " for each in next(names, ""))[:_MAX_NAME].strip()
+    services = (match.findtext(f"{{{_DISCOVERY}}}XAddrs") or "").split()
+    return NetworkCamera(address, name, next((each for each in services if is_service_of(address, each)), None))

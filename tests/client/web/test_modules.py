@@ -99,7 +99,10 @@ def test_modules_import_downwards() -> None:
             assert layers.index(other) < mine, f"{path.name} imports from {other}"
 
 
-@pytest.mark.parametrize(("name", "main"), [("index.html", "ui/main.js"), ("capture.html", "ui/capture.js")])
+@pytest.mark.parametrize(
+    ("name", "main"),
+    [("index.html", "ui/main.js"), ("capture.html", "ui/capture.js"), ("cameras.html", "ui/cameras.js")],
+)
 def test_page_preloads_what_its_main_module_does_not_import_itself(name: str, main: str) -> None:
     """No chain of round trips, and few requests at once.
 

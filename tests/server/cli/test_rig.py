@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import signal
+import socket
 import ssl
 import subprocess
 import sys
@@ -16,8 +17,10 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import cv2
+import httpx
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
@@ -28,6 +31,7 @@ from streamlod.core.errors import InputError
 from streamlod.server.auth.gate import hash_token
 from streamlod.server.cli import rig as rig_command
 from streamlod.server.cli.check import check
+from streamlod.server.cli.main import app
 from streamlod.server.cli.rig import find, phones_socket, trouble_of, watch
 from streamlod.server.ingest import recording
 from streamlod.server.ingest.cameras.definition import read_definition, read_uncalibrated
@@ -134,6 +138,16 @@ def test_what_cannot_be_a_rig_is_refused(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=fault):
             found(tmp_path, *sources, overwrite=True)
     assert (tmp_path / "rig.json").read_text() == "{}"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fault"),
+    [(["--login", "film"], "write USER:PASSWORD"), (["--login", "film:x", "a.mp4"], "write rtsp://USER:PASSWORD@")],
+)
+def test_a_login_that_is_none_is_refused(tmp_path: Path, arguments: list[str], fault: str) -> None:
+    refused = CliRunner().invoke(app, ["rig", "--out", str(tmp_path / "rig.json"), *arguments])
+    assert isinstance(refused.exception, InputError)
+    assert fault in str(refused.exception)
 
 
 @pytest.mark.long
@@ -360,7 +374,7 @@ def test_a_phone_that_was_away_is_not_called_slow(tmp_path: Path, monkeypatch: p
 
     def say(line: str) -> None:
         said.append(line)
-        if match := re.search(r"(http\S+)$", line):
+        if match := re.search(r"each phone: (http\S+)$", line):
             phones.append(threading.Thread(target=film_with_breaks, args=(match[1],), daemon=True))
             phones[-1].start()
 
@@ -384,6 +398,55 @@ def test_a_damaged_description_of_the_board_is_told_before_anything_is_waited_fo
     with pytest.raises(InputError, match=r"charuco\.toml"):
         watch(write_definition(tmp_path, ["push:"]), tmp_path / "walk", 3.0, Settings(), print, overwrite=False)
     assert not (tmp_path / "walk").exists()
+
+
+def test_all_cameras_are_shown_while_a_rig_is_watched(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mp4", [burnt(number) for number in range(30 * FPS)], fps=FPS)
+    write_video(tmp_path / "b.mp4", [burnt(number) for number in range(FPS)], fps=FPS)
+    rig, said = write_definition(tmp_path, ["a.mp4", "b.mp4"], fps=FPS), list[str]()
+    work = threading.Thread(
+        target=lambda: watch(rig, None, 12.0, Settings(port=0), said.append, overwrite=False), daemon=True
+    )
+    work.start()
+    shown = "what all cameras see: "
+    (place,) = wait(lambda: [line.removeprefix(shown) for line in said if line.startswith(shown)], 60)
+    with httpx.Client(base_url=place.removesuffix("/cameras"), trust_env=False, timeout=60) as client:
+        assert "<title>streamlod: cameras</title>" in client.get("/cameras").text
+
+        def stream() -> dict[str, Any]:
+            return client.get("/v1/streams/main").json()
+
+        wait(lambda: stream()["camera_pictures"] == ["cam0", "cam1"] and stream()["ingest"]["cameras"]["cam1"]["fault"])
+        cameras = stream()["ingest"]["cameras"]
+        assert cameras["cam0"]["size"] == [WIDTH, HEIGHT]
+        assert cameras["cam0"]["counts"]["received"] > 0
+        assert cameras["cam1"]["fault"] == "it ended"
+        numbers = set()
+
+        def moves() -> bool:
+            jpeg = client.get("/v1/streams/main/cameras/cam0.jpg").content
+            picture = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+            assert picture is not None
+            numbers.add(number_of(picture))
+            return len(numbers) > 2
+
+        wait(moves, 60)
+    work.join(60)
+    assert not work.is_alive()
+    assert "showing them for 12 s; Ctrl-C ends it earlier" in said
+
+
+def test_a_rig_without_phones_needs_no_server(tmp_path: Path) -> None:
+    """Another one may have the port."""
+    write_video(tmp_path / "a.mp4", [burnt(0)] * FPS, fps=FPS)
+    said: list[str] = []
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        settings = Settings(port=other.getsockname()[1])
+        watch(write_definition(tmp_path, ["a.mp4"]), None, 60.0, settings, said.append, overwrite=False)
+        with pytest.raises(InputError, match="in use"):
+            watch(write_definition(tmp_path, ["push:"]), None, 60.0, settings, said.append, overwrite=False)
+    assert said[0].startswith("no page shows the cameras (")
+    assert said[-1].endswith("all 1 cameras at one instant")
 
 
 def write_still(file: Path) -> Path:
