@@ -102,8 +102,10 @@ def _live(file: Path, settings: Settings, say: Say) -> RigCheck:
                 told = rig.statistics()
                 if frame.index % _LIVE_STEP < 2 and len(frames) < _INSTANTS:
                     (frames if frame.present.all() else partial).append(frame)
+                is_wrong = told is not None and any(one.time_fault is not None for one in told.cameras.values())
+                enough = len(frames) == _INSTANTS or (is_wrong and len(partial) == _INSTANTS)  # it never has all
                 settled = told is None or told.sound != "" or heard.is_set()  # whether there is sound is known
-                if len(frames) == _INSTANTS and settled and clap.is_over():
+                if enough and settled and clap.is_over():
                     break
     if not frames and not partial:
         raise InputError(file, f"gave no instant within {seconds:.0f} s; see that its cameras run")

@@ -243,8 +243,10 @@ class Rig:
         return None
 
     def complaint(self, camera: str) -> str:
-        """A sentence for who films, where the camera stands wrong or has a wrong name; else empty."""
+        """A sentence for who films, where the camera's times, place or name are wrong; else empty."""
         with self._change:
+            if (wrong := self._synchroniser.time_faults()[camera]) is not None:
+                return f"its {wrong.words}: reload this page; until then its pictures are left out"
             if self._last[camera].knocked:
                 return "it was knocked: put it back as it stood, or calibrate again"
             named = {

@@ -87,8 +87,8 @@ class Intake:
 
     def wanted(self) -> dict[str, Any]:
         """The rig's rate as `fps`, and `cameras` that are pushed: name, width, height, whether one is `taken`,
-        whether its `sound` is wanted, a `complaint` of its place or name if there is one, and while a board's walk is
-        recorded what it sees of the `board`."""
+        whether its `sound` is wanted, a `complaint` of its times, place or name if there is one, and while a board's
+        walk is recorded what it sees of the `board`."""
         rig = self._rig
         cameras = [
             {"name": name, "width": width, "height": height, "taken": rig.is_held(name), "sound": rig.hears(name)}

@@ -17,6 +17,18 @@ class TimeFault(StrEnum):
     BACK = "back"
     FAR = "far"
 
+    @property
+    def words(self) -> str:
+        """The words for it in a sentence, after the name of a camera."""
+        return _WORDS[self]
+
+
+_WORDS = {
+    TimeFault.STILL: "times stand still",
+    TimeFault.BACK: "times run backwards",
+    TimeFault.FAR: "times are far from those of the other cameras",
+}
+
 
 @dataclass(slots=True)
 class TimeWatch:

@@ -13,6 +13,7 @@ from streamlod.server.ingest.sync.clock import ClockSource
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import Instant
 from tests.server.ingest.push.stage import rig
+from tests.waiting import wait
 
 
 def _picture(camera: str, capture_ns: int) -> Picture:
@@ -28,3 +29,22 @@ def test_latency_counts_from_the_oldest_picture_not_from_the_place_on_the_grid(m
     latency_ns = watched.note_delivery(Instant(0, taken_ns + 3_600_000_000_000, pictures))
     assert 20_000_000 <= latency_ns < 10_000_000_000
     assert watched.statistics().latency_ns == latency_ns
+
+
+@pytest.mark.parametrize(
+    ("later_ns", "said"),
+    [(None, "its times stand still: "), (90_000_000_000, "its times are far from those of the other cameras: ")],
+)
+def test_who_films_is_told_that_the_times_of_its_camera_are_wrong(later_ns: int | None, said: str) -> None:
+    names, begin_ns = ("phone1", "phone2", "phone3"), time.time_ns()
+    watched = Rig(read_definition(rig((64, 48), 3)), names)
+
+    def complaint() -> str:
+        now = time.time_ns()
+        watched.put(_picture("phone2", begin_ns if later_ns is None else now + later_ns))
+        for name in ("phone1", "phone3"):
+            watched.put(_picture(name, now))
+        return watched.complaint("phone2")
+
+    assert wait(complaint, 60) == f"{said}reload this page; until then its pictures are left out"
+    assert watched.complaint("phone1") == ""
