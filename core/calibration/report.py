@@ -66,6 +66,14 @@ def advice_of(calibration: Calibration) -> Iterator[str]:
                 f"{camera.name} has a reprojection error of {calibration.rms(number):.1f} pixels: blur, a board that "
                 "is not flat, or pictures at other times than stated"
             )
+    if calibration.guessed.any():
+        names = (
+            camera.name for camera, guessed in zip(calibration.cameras, calibration.guessed, strict=True) if guessed
+        )
+        yield (
+            f"{spoken(names)}: the offset may be wrong by a frame or more, as the board was held still where another "
+            "camera saw it too; walk it there without a stop, or clap once where all hear it"
+        )
     if uneven := {number: seconds for number, seconds in enumerate(calibration.uneven) if seconds > _WEAK_SECONDS}:
         yield (
             f"{spoken(calibration.cameras[number].name for number in uneven)}: pictures were taken up to "

@@ -20,7 +20,7 @@ from streamlod.core.calibration.graph import first_poses
 from streamlod.core.calibration.instants import chosen_instants, independent
 from streamlod.core.calibration.known_lens import check_known
 from streamlod.core.calibration.stillness import check_still
-from streamlod.core.calibration.sync import first_offsets
+from streamlod.core.calibration.sync import FirstOffsets, first_offsets
 from streamlod.core.calibration.track import Track
 from streamlod.core.calibration.trust import check_agreement, check_certainty, check_lens, near_enough
 from streamlod.core.calibration.world import find_floor
@@ -47,6 +47,7 @@ class Calibration:
         uneven: [C] seconds by which each camera's times are off, a standard deviation.
         heard: [C] such seconds as `offsets`, to any one clock, by what cameras heard; NaN where that does not tell.
         by_sound: [C] whether a camera's offset rests on that, as the board does not tell it.
+        guessed: [C] whether nothing tells it but a board held still.
         floor_by_board: whether the board lay on the floor; else up is as the cameras are held.
         times: [I] common seconds of the instants used.
         boards: [I,3] the board's centre at these, in the world.
@@ -62,6 +63,7 @@ class Calibration:
     uneven: Float64
     heard: Float64
     by_sound: Bool
+    guessed: Bool
     floor_by_board: bool
     times: Float64
     boards: Float64
@@ -123,7 +125,7 @@ def _placed(tracks: Sequence[Track], board: Board, lenses: Float64, fixed: Bool,
     known = Known(first.root, fixed, clocks.held(first.root))
     found, corners, uneven = _adjusted(tracks, times, scene, board, known)
     check_certainty(names, found, corners)
-    return _calibration(tracks, board, times, found, corners, uneven, first.root, heard, clocks.by_sound(first.root))
+    return _calibration(tracks, board, times, found, corners, uneven, first.root, heard, clocks)
 
 
 def _adjusted(
@@ -156,7 +158,7 @@ def _calibration(
     uneven: UnevenTimes,
     root: int,
     heard: Float64,
-    by_sound: Bool,
+    clocks: FirstOffsets,
 ) -> Calibration:
     scene = found.scene
     floor = find_floor(scene.cameras, scene.boards, times, board.centre)
@@ -169,10 +171,20 @@ def _calibration(
         check_lens(camera, "where it saw the board; walk the board through all of its picture")
     centre = np.concatenate([np.zeros(3), board.centre])
     boards = rigid.after(floor.to_world, rigid.after(scene.boards, centre))[:, 3:]
-    errors = found.errors * [np.degrees(1), 1]
-    periods = np.array([track.period for track in tracks])
-    offsets = scene.offsets - scene.offsets[root]
     return Calibration(
-        *(tuple(cameras), root, offsets, scene.readouts, periods, errors, uneven.seconds, heard, by_sound),
-        *(floor.by_board, times, boards, corners, found.misses),
+        cameras=tuple(cameras),
+        root=root,
+        offsets=scene.offsets - scene.offsets[root],
+        readouts=scene.readouts,
+        periods=np.array([track.period for track in tracks]),
+        errors=found.errors * [np.degrees(1), 1],
+        uneven=uneven.seconds,
+        heard=heard,
+        by_sound=clocks.by_sound(root),
+        guessed=clocks.guessed(root),
+        floor_by_board=floor.by_board,
+        times=times,
+        boards=boards,
+        seen=corners,
+        misses=found.misses,
     )

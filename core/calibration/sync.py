@@ -29,7 +29,7 @@ _ROUNDS = 3  # of an alignment, in which what lies far off counts less and less
 _NEAR_S = 1.0  # clocks so near to each other are tried first
 _SURELY, _FAR_SCORE = 1.8, 6.0  # by what others must agree to be taken: chance has 1.2, and more in few seconds alone
 _CERTAIN = 4.0  # least score of any
-_HEARD = 1.0  # score of an offset by sound alone
+_HEARD, _GUESSED = 1.0, 0.5  # scores of an offset by sound alone, and by a board held still
 _ALIKE = 0.95  # of how close paths lie, which a walking person loses within `_STEP_S`
 
 
@@ -57,15 +57,22 @@ class FirstOffsets:
 
     Attributes:
         seconds: [C] that lead from each camera's clock to that of one of them; chance where nothing tells.
-        anchors: [C] the camera to whose clock the board's path leads; between these, sound does.
+        anchors: [C] the camera to whose clock the path of a board that moves leads.
+        heard: [C] whether sound leads from a camera that is such an anchor to the others.
     """
 
     seconds: Float64
     anchors: Int64
+    heard: Bool
 
     def by_sound(self, root: int) -> Bool:
         """[C] whether a camera's offset to `root` rests on sound."""
-        return np.asarray(self.anchors != self.anchors[root], np.bool_)
+        known = self.heard[self.anchors] & self.heard[self.anchors[root]]
+        return np.asarray((self.anchors != self.anchors[root]) & known, np.bool_)
+
+    def guessed(self, root: int) -> Bool:
+        """[C] whether a camera's offset to `root` rests on a board held still, which lies alike at other offsets."""
+        return np.asarray((self.anchors != self.anchors[root]) & ~self.by_sound(root), np.bool_)
 
     def held(self, root: int) -> Bool:
         """[C] whose clocks are to stay as sound has them: a still board tells nothing but its noise of them."""
@@ -89,14 +96,15 @@ def first_offsets(
     edges = sorted(
         ((*_lag(paths[a], paths[b], float(by_sound[b] - by_sound[a])), a, b) for a, b in pairs), reverse=True
     )
-    seconds, anchors = {0: 0.0}, {0: 0}
+    seconds, anchors, by_ear = {0: 0.0}, {0: 0}, {0: True}
     while len(seconds) < len(tracks):
         score, lag, a, b = next(edge for edge in edges if (edge[2] in seconds) != (edge[3] in seconds))
         known, new, lag = (a, b, lag) if a in seconds else (b, a, -lag)
         seconds[new] = seconds[known] + lag
-        anchors[new] = new if score == _HEARD else anchors[known]
+        anchors[new] = new if score in (_HEARD, _GUESSED) else anchors[known]
+        by_ear[new] = score == _HEARD
     order = range(len(tracks))
-    return FirstOffsets(np.array([seconds[each] for each in order]), np.array([anchors[each] for each in order]))
+    return FirstOffsets(*(np.array([each[number] for number in order]) for each in (seconds, anchors, by_ear)))
 
 
 def _path(track: Track, lens: Float64, board: Float64, centre: Float64) -> _Path:
@@ -125,10 +133,10 @@ def _lag(a: _Path, b: _Path, heard: float) -> tuple[float, float]:
         far = [_score(a, b, lag, 1) for lag in np.arange(np.ceil(first / _STEP_S), last / _STEP_S) * _STEP_S]
         best = max((each for each in far if each.value > _FAR_SCORE and each.closer > _SURELY), default=best)
     found = max(_score(a, b, lag, _ROUNDS) for lag in best.lag + np.arange(-_STEP_S, _STEP_S, _FINE_S))
-    if is_heard:  # a board held still lies as close a little before and after
-        about = [_score(a, b, heard + step, _ROUNDS).closer for step in (-_STEP_S, _STEP_S)]
-        if min(about) > _ALIKE * found.closer:
-            return otherwise
+    middle = heard if is_heard else found.lag
+    about = [_score(a, b, middle + step, _ROUNDS).closer for step in (-_STEP_S, _STEP_S)]
+    if min(about) > _ALIKE * found.closer > 0:  # a board held still lies as close a little before and after
+        return otherwise if is_heard else (_GUESSED, found.lag)
     return (found.value, found.lag) if found.value > _CERTAIN else otherwise
 
 

@@ -36,7 +36,7 @@ def calibration(names: list[str], offsets: list[float], size: tuple[int, int]) -
     errors, uneven, places = np.zeros((count, 2)), np.zeros(count), np.zeros((0, 3))
     read = misses = np.zeros((count, 2))
     clocks = offset, read, periods
-    sound = np.full(count, np.nan), np.zeros(count, np.bool_)
+    sound = np.full(count, np.nan), *np.zeros((2, count), np.bool_)
     return Calibration(tuple(cameras), 0, *clocks, errors, uneven, *sound, True, np.zeros(0), places, seen, misses)
 
 

@@ -11,6 +11,7 @@ from streamlod.core.arrays import Float64
 from streamlod.core.calibration.adjustment import rigid
 from streamlod.core.calibration.graph import first_poses
 from streamlod.core.calibration.known_lens import check_known
+from streamlod.core.calibration.report import advice_of
 from streamlod.core.calibration.solve import Calibration, calibrate
 from streamlod.core.calibration.sound.report import sound_advice
 from streamlod.core.calibration.track import Track
@@ -140,6 +141,16 @@ def test_an_offset_that_a_board_held_still_does_not_tell_stays_as_sound_has_it()
     assert found.offsets[1] - found.offsets[0] == pytest.approx(2.104)
     (told,) = sound_advice(found)
     assert "the offset is that of sound, good to 3 ms a metre" in told
+
+
+@pytest.mark.long
+def test_an_offset_that_only_a_board_held_still_tells_is_said_to_be_unsure() -> None:
+    truth, offsets = rig(2, arc=40.0), np.array([0.0, 0.1])
+    found = calibrate(stopping(truth, offsets), BOARD, known_lenses(truth))
+    (told,) = (each for each in advice_of(found) if "the offset may be wrong by a frame or more" in each)
+    assert told.startswith(found.cameras[1 - found.root].name)
+    moving = calibrate(walked(truth, fps=FPS, seconds=16, offsets=offsets), BOARD, known_lenses(truth))
+    assert not moving.guessed.any()
 
 
 @pytest.mark.long
