@@ -56,6 +56,14 @@ IN_STEP = f"""() => {{
   const offs = ({OFFSETS})().map(Math.abs).sort((a, b) => a - b);
   return offs.length === 5 && offs[2] <= 40;
 }}"""
+# Plays again from a picture on where the page has not come to be in step after a while: it may have been slow to begin.
+AGAIN = f"""(first) => {{
+  if (!(performance.now() - window.begun < 25_000)) {{
+    window.begun = performance.now();
+    streamlod.seek(first);
+  }}
+  return ({IN_STEP})();
+}}"""
 
 
 def _film(folder: Path) -> list[Path]:
@@ -108,9 +116,8 @@ def test_a_flash_of_cameras_is_seen_when_its_click_is_heard(page: Any, tmp_path:
         page.locator("#t-sound").evaluate("button => button.click()")
         page.evaluate(LISTEN)
         page.evaluate(LOOK)
-        page.evaluate(f"streamlod.seek({first})")
         try:
-            page.wait_for_function(IN_STEP, **WAIT)
+            page.wait_for_function(AGAIN, arg=first, polling=1000, **WAIT)
         except Exception as error:
             raise AssertionError(f"{page.evaluate(OFFSETS)}, {page.evaluate('streamlod.state')}") from error
         page.goto("about:blank")
