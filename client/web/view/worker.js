@@ -16,6 +16,7 @@ const kernel = fetch(new URL("../decode/kernel.wasm", import.meta.url))
 
 const MAX_HOLD_MS = 1500;
 const MAX_MOVE_MS = 1000; // from state to state
+const GAPS = 8; // between pictures, whose mean says how long to move
 
 /** @type {Engine | null} */
 let engine = null;
@@ -31,6 +32,7 @@ let refusals = 0;
 let decodeMs = 0;
 let timeMs = 0; // presentation time of the newest frame
 let before = { version: -1, timeMs }; // of the newest picture
+let gapMs = NaN; // between what pictures that follow each other show, in the mean
 /** @type {number | null} version to reach before the next picture */
 let held = null;
 /** Of the newest picture: what the status said. @type {Pick<import("../stream/session.js").Status, "position" | "filmedMs" | "lagSeconds">} */
@@ -81,6 +83,11 @@ function answer({ type, id, origin, direction }) {
   tell({ type: "picked", id, point: point ?? null });
 }
 
+/** The mean of gaps after one more. @param {number} newest */
+function gapAfter(newest) {
+  return Number.isNaN(gapMs) ? newest : gapMs + (newest - gapMs) / GAPS;
+}
+
 function picture() {
   const scene = engine?.scene;
   if (!engine || !scene || held !== null) return;
@@ -94,9 +101,11 @@ function picture() {
   const result = engine.picture(view);
   if (!result) return;
   const { spans, order, version } = result;
-  // Not what is live: moving on shows it later.
-  const overMs = source?.session.status.mode === "replay" && version === before.version + 1
-    ? Math.min((timeMs - before.timeMs) / source.speed, MAX_MOVE_MS) : version === before.version ? null : 0;
+  // Not what is live: moving on shows it later. All pictures as much later, also where they were filmed unevenly, since
+  // sound is as late as they are.
+  const follows = source?.session.status.mode === "replay" && version === before.version + 1;
+  if (follows) gapMs = gapAfter(Math.min(timeMs - before.timeMs, MAX_MOVE_MS));
+  const overMs = source && follows ? Math.min(gapMs / source.speed, MAX_MOVE_MS) : version === before.version ? null : 0;
   before = { version, timeMs };
   const transfer = [...(order ? [order.buffer] : []), ...spans.map(({ data }) => data.buffer)];
   const { position = null, filmedMs = null, lagSeconds = null } = source?.session.status ?? {};

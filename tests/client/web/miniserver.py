@@ -32,11 +32,15 @@ WEB = Path(__file__).parents[3] / "client" / "web"
 
 @dataclass
 class Clip:
-    """States of one stream, filmed `frame_ns` apart, and their packets, which are made on demand between any two."""
+    """States of one stream, filmed `frame_ns` apart, and their packets, which are made on demand between any two.
+
+    Every second one is filmed `late_ns` later than that.
+    """
 
     states: list[Scene]
     profile: int = 1
     frame_ns: int = 33_333_333
+    late_ns: int = 0
     _made: dict[tuple[int, int], bytes] = field(default_factory=dict)
 
     def key(self) -> bytes:
@@ -47,7 +51,7 @@ class Clip:
         """From one state to a later one."""
         if (before, after) not in self._made:
             change = difference(self.states[before], self.states[after])
-            time_ns = after * self.frame_ns
+            time_ns = after * self.frame_ns + after % 2 * self.late_ns
             packet = encode_residual(self.states[before], change, time_ns=time_ns, profile=self.profile)
             self._made[before, after] = packet
         return self._made[before, after]

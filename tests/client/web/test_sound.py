@@ -6,6 +6,7 @@ import json
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,22 @@ def test_sound_follows_the_picture(page: Any, sounding: Path) -> None:
         in_step(page)
         page.evaluate("streamlod.seek(195)")
         shows(page, "s.phase === 'ended' && !s.sound.playing")
+
+
+@pytest.mark.long
+def test_sound_follows_pictures_that_were_filmed_unevenly(page: Any, tmp_path: Path) -> None:
+    """As where training leaves out some: 200 and 600 ms apart in turn, and all are shown as late as each other."""
+    path = tmp_path / "clip.slod"
+    replace(make_clip(make_scene(60), 60, frame_ns=400_000_000), late_ns=200_000_000).write(path)
+    write_sound(sound_beside(path), [clicks(24.0)], 1, 0)
+    page.set_viewport_size({"width": 640, "height": 360})
+    with served(page, Settings(), path) as server:
+        page.goto(f"{server.url}/?quality=low&sway=0")
+        shows(page, "s.sound !== null && s.version > 2")
+        page.locator("#t-sound").click()
+        page.evaluate(WATCH)
+        page.evaluate("streamlod.seek(3)")
+        in_step(page)
 
 
 # How far the sound is from what was filmed when a picture comes, ms; nothing while it is silent.
