@@ -93,7 +93,7 @@ def _rig(ports: list[int]) -> dict[str, Any]:
 
 
 @pytest.mark.browser
-@pytest.mark.long
+@pytest.mark.slow  # and wants a machine to itself: where the page draws late, pictures are late
 @pytest.mark.timeout(1500)  # where the worker compiles first
 @NEEDS_FFMPEG
 def test_a_flash_of_cameras_is_seen_when_its_click_is_heard(page: Any, tmp_path: Path) -> None:
