@@ -17,13 +17,12 @@ from streamlod.core.render import backends, select
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.exposures import NEUTRAL
 from streamlod.core.scene.keyframe import as_keyframe
-from streamlod.core.scene.metadata import Metadata
 from streamlod.core.train.config import TrainConfig
 from streamlod.core.train.control.frame_budget import FrameBudget
 from streamlod.core.train.control.rate_control import UNLIMITED, RateControl
 from streamlod.core.train.engine.named import named_engine
 from streamlod.core.train.field.convert import motion_cell_of, scene_of
-from streamlod.core.train.field.exposure import exposure_of, fitted, neutral
+from streamlod.core.train.field.exposure import Exposure, exposure_of, fitted, neutral
 from streamlod.core.train.field.rendered import rendered
 from streamlod.core.train.growth.near_space import near_space
 from streamlod.core.train.keyframe.refresh import refresh_config
@@ -130,7 +129,7 @@ class Trainer:
         state, watch = self._require(), Stopwatch(self._clock)
         untrained = self._config.keyframe.refresh_steps == 0 or state.scene.anchor_count == 0 or state.is_untouched
         if untrained or self._budget.is_limited:
-            scene = as_keyframe(state.scene, state.scene.version)
+            scene = self._telling(as_keyframe(state.scene, state.scene.version), self._exposure)
             self.resume(scene, keep_references=True)
             return TrainedFrame(scene, None, FrameReport({}, 0, scene.anchor_count, scene.anchor_count, 0.0))
         views = without_drift(self._views(frames), self._drift, state.known.references)
@@ -245,12 +244,16 @@ class Trainer:
     def _scene_of(self, trainer: KeyframeTrainer, version: int) -> Scene:
         precision, cell = trainer.precision, trainer.motion_cell
         scene = scene_of(trainer.field, self._config.predict, self._rig, self._fps, version, precision, cell)
+        return self._telling(scene, trainer.exposure)
+
+    def _telling(self, scene: Scene, exposure: Exposure) -> Scene:
+        """`scene`, which tells players how its cameras show it now: at `exposure`, and drifted since."""
         if not self._config.model.exposure:
             return scene
         names = (camera.name for camera in self._cameras)
-        known = dict(zip(names, trainer.exposure.then(self._drift).of_cameras(), strict=True))
+        known = dict(zip(names, exposure.then(self._drift).of_cameras(), strict=True))
         told = tuple(known.get(camera.name, NEUTRAL) for camera in self._rig)  # some of the rig's may not train
-        return replace(scene, metadata=Metadata(exposures=told))
+        return replace(scene, metadata=replace(scene.metadata, exposures=told))
 
     def _fresh(self, scene: Scene, known: KnownPictures | None = None) -> State:
         known = no_pictures(self._cameras, self._device) if known is None else known
