@@ -15,7 +15,7 @@ from streamlod.core.initialise.methods.plane_sweep import plane_sweep
 from streamlod.core.initialise.methods.random import random_points
 
 _FEW = 500  # points; fewer are no start
-_ROWS = 45  # of the pictures in which gaps are counted and filled
+_ROWS, _PIXELS = 45, 3  # of the pictures in which gaps are counted and filled: at most, and of the whole ones in each
 _MOSTLY = 0.5  # of a picture
 _log = logging.getLogger(__name__)
 
@@ -38,7 +38,7 @@ def automatic(sources: PointSources) -> PointCloud:
         doubt = "; are the cameras where their poses say? `streamlod check` tells" if several else ""
         _log.warning("the pictures gave only %d first points%s", len(points), doubt)
         points = merged(points, random_points(sources))
-    views = sources.views(_ROWS)
+    views = sources.views(min(_ROWS, max(1, sources.frame.images.shape[1] // _PIXELS)))
     return completed(points, views, alone=True) if share_of_gaps(points, views) > _MOSTLY else points
 
 
