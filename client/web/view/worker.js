@@ -101,8 +101,8 @@ function picture() {
   const result = engine.picture(view);
   if (!result) return;
   const { spans, order, version } = result;
-  // Not what is live: moving on shows it later. All pictures as much later, also where they were filmed unevenly, since
-  // sound is as late as they are.
+  // What is live jumps, since moving makes it late. Played pictures move, all for as long, even where they were filmed
+  // unevenly: sound is as late as they are.
   const follows = source?.session.status.mode === "replay" && version === before.version + 1;
   if (follows) gapMs = gapAfter(Math.min(timeMs - before.timeMs, MAX_MOVE_MS));
   const overMs = source && follows ? Math.min(gapMs / source.speed, MAX_MOVE_MS) : version === before.version ? null : 0;

@@ -31,24 +31,27 @@ def followed(drift: Exposure, views: Views, references: Tensor, known: list[int]
     """
     if not known:
         return drift
-    since = neutral(len(views.cameras), views.targets.device)
-    now, then = _cells(views.targets[known]), _cells(references[known])
-    for place, number in enumerate(known):
-        until = (now[place] - drift.offset[number]) / drift.gain[number]
-        darkest, brightest = torch.minimum(now[place], then[place]), torch.maximum(now[place], then[place])
+    device, drift = drift.gain.device, Exposure(drift.gain.cpu(), drift.offset.cpu())  # so that a GPU is asked once
+    since = neutral(len(views.cameras))
+    cells = _cells(views.targets).cpu(), _cells(references).cpu()
+    for number in known:
+        now, then = (each[number] for each in cells)
+        until = (now - drift.offset[number]) / drift.gain[number]
+        darkest, brightest = torch.minimum(now, then), torch.maximum(now, then)
         whole = (darkest > CLIPPED) & (brightest < 1 - CLIPPED)
         for channel in range(3):
             some = whole[:, channel]
-            agreed = _agreed(then[place, some, channel], until[some, channel], _LEAST * len(whole))
+            agreed = _agreed(then[some, channel], until[some, channel], _LEAST * len(whole))
             since.gain[number, channel], since.offset[number, channel] = agreed
     after = since.then(drift)
     # what cameras share is light
     gain = after.gain / after.gain[known].quantile(0.5, dim=0)
     offset = after.offset - after.offset[known].quantile(0.5, dim=0)
     fits = ((gain / _MAX_GAIN < 1) & (gain * _MAX_GAIN > 1) & (offset.abs() < _MAX_OFFSET)).all(dim=1)
-    told = torch.tensor([number in known for number in range(len(gain))], device=fits.device)
+    told = torch.tensor([number in known for number in range(len(gain))])
     chosen = (fits & told)[:, None]
-    return Exposure(torch.where(chosen, gain, drift.gain), torch.where(chosen, offset, drift.offset))
+    gain, offset = torch.where(chosen, gain, drift.gain), torch.where(chosen, offset, drift.offset)
+    return Exposure(gain.to(device), offset.to(device))
 
 
 def without_drift(views: Views, drift: Exposure, references: Tensor) -> Views:
