@@ -16,10 +16,10 @@ from torch import Tensor
 
 from streamlod.core.scene.exposures import MAX_GAIN, MAX_OFFSET, CameraExposure
 from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.pictures.clipping import CLIPPED
 
 _FLAT = 1e-4  # variance of grey values in units of [0, 1], below which a picture says nothing about gain
 _GAINS = (0.25, 4.0)
-CLIPPED = 1.5 / 255  # nearer to black or full brightness, a pixel does not say how dark or bright it was
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,9 +76,10 @@ class _Applied(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
         image, gain = ctx.saved_tensors
-        by_gain, by_offset = (upstream * image).sum(dim=(0, 1)), upstream.sum(dim=(0, 1))
-        here = (torch.arange(len(gain), device=gain.device) == ctx.camera)[:, None]
-        return upstream * gain[ctx.camera], here * by_gain, here * by_offset, None
+        by_gain, by_offset = gain.new_zeros(2, *gain.shape)
+        torch.sum(upstream * image, dim=(0, 1), out=by_gain[ctx.camera])
+        torch.sum(upstream, dim=(0, 1), out=by_offset[ctx.camera])
+        return upstream * gain[ctx.camera], by_gain, by_offset, None
 
 
 def neutral(cameras: int, device: str | torch.device = "cpu") -> Exposure:

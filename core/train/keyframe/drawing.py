@@ -12,10 +12,11 @@ from streamlod.core.render.differentiable import rasterise
 from streamlod.core.render.raster import Raster
 from streamlod.core.train.config import KeyframeConfig
 from streamlod.core.train.field.decode import Splats
-from streamlod.core.train.field.exposure import CLIPPED, Exposure
+from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.keyframe.random_background import over_colour
 from streamlod.core.train.loss.penalty import penalty
 from streamlod.core.train.loss.photometric import photometric_loss
+from streamlod.core.train.pictures.clipping import limited
 from streamlod.core.train.pictures.views import Views
 
 
@@ -41,7 +42,8 @@ class ViewLoss:
     def loss(self, raster: Raster, number: int) -> Tensor:
         """[] how far camera `number` is from its picture."""
         image, target = self.exposure.apply(raster.image, number), self.views.targets[number]
-        return photometric_loss(_as_clipped(image, target), target, self.config.dssim_weight)
+        shown = limited(image, target, self.views.clipped[number])
+        return photometric_loss(shown, target, self.config.dssim_weight)
 
     def penalty(self, splats: Splats, raster: Raster, share: Tensor, hiding: Tensor) -> Tensor:
         """What Gaussians cost whatever they show: volume and, of those in view of `raster`, opacity.
@@ -64,9 +66,3 @@ class ViewLoss:
         """Summed over all values of camera `number`'s picture."""
         shown = self.exposure.apply(raster.image, number)
         return float((shown - self.views.targets[number]).square().sum())
-
-
-def _as_clipped(image: Tensor, target: Tensor) -> Tensor:
-    """`image` [H,W,3], but `target` where that is clipped to white or black and no less so: it does not say how far."""
-    beyond = ((target > 1 - CLIPPED) & (image > target)) | ((target < CLIPPED) & (image < target))
-    return torch.where(beyond, target, image)

@@ -11,7 +11,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from streamlod.core.train.field.exposure import CLIPPED, Exposure, neutral
+from streamlod.core.train.field.exposure import Exposure, neutral
+from streamlod.core.train.pictures.clipping import CLIPPED
 from streamlod.core.train.pictures.views import Views, halved_pictures
 
 _APART = 4  # pixels between those that are looked at; four make a cell

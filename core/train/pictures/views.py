@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from streamlod.core.camera import Camera
+from streamlod.core.train.pictures.clipping import clipped_sides
 
 _MIN_ROWS = 80  # of small pictures
 
@@ -26,6 +27,11 @@ class Views:
     def centres(self) -> list[Tensor]:
         """C times [3] where a camera stands, on the device of the pictures."""
         return [torch.from_numpy(camera.centre).float().to(self.targets.device) for camera in self.cameras]
+
+    @cached_property
+    def clipped(self) -> Tensor:
+        """[C,H,W,3] int8 to which side a picture is clipped, if at all, as `clipping.clipped_sides` says it."""
+        return clipped_sides(self.targets)
 
     @property
     def contrast(self) -> float:
