@@ -11,13 +11,14 @@ import pytest
 
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import EdgeSettings, Settings
-from tests.client.web.watching import shows
+from tests.client.web.watching import WAIT, shows
 from tests.server.conftest import Clip, Running, make_clip, running
 from tests.server.ports import held_ports
 from tests.waiting import wait
 
 pytestmark = [pytest.mark.browser, pytest.mark.cluster]
 
+SMALL = {"width": 320, "height": 240}  # to draw; a busy machine shows enough pictures of it
 # The longest time between two versions [ms], how many were seen, and all phases, from here on. Time in which the page
 # does not run is not counted: versions that come meanwhile are not seen.
 WATCH = """() => {
@@ -66,8 +67,8 @@ def test_the_page_watches_at_an_edge_and_leaves_it_when_it_stops(chromium: Any, 
         edges = [stop.enter_context(running(edge, port=port)) for stop, port in zip(stops, ports[1:], strict=True)]
         for each in edges:
             wait(lambda each=each: each.registry.edges and not each.registry.unready)
-        page = stack.enter_context(chromium.new_context()).new_page()
-        goes_to_an_edge(page, f"{origin.url}/?stream=main", lambda: sum(map(pages_at, edges)) == 1)
+        page = stack.enter_context(chromium.new_context(viewport=SMALL)).new_page()
+        goes_to_an_edge(page, f"{origin.url}/?stream=main&quality=low&sway=0", lambda: sum(map(pages_at, edges)) == 1)
         wait(lambda: not pages_at(origin), 60)
         shows(page, "s.version > 0")
 
@@ -75,7 +76,7 @@ def test_the_page_watches_at_an_edge_and_leaves_it_when_it_stops(chromium: Any, 
         at = 0 if pages_at(edges[0]) else 1
         stops[at].close()  # as after SIGTERM
         wait(lambda: pages_at(edges[1 - at]) == 1, 60)
-        page.wait_for_function("(seen) => window.seen > seen + 25", arg=page.evaluate("window.seen"), timeout=60_000)
+        page.wait_for_function("(seen) => window.seen > seen + 25", arg=page.evaluate("window.seen"), **WAIT)
         assert page.evaluate("window.gap") < 4000  # ms; the browser draws on a busy CPU
         assert page.evaluate("!window.phases.has('reconnecting')")  # it went before it was sent away
 
@@ -93,11 +94,13 @@ def test_the_page_goes_back_where_an_edge_refuses_what_its_origin_serves(chromiu
         of_another = EdgeSettings(origin=origin.url, streams=("another",), poll_seconds=0.1)
         edge = stack.enter_context(running(Settings(edge=of_another, origins=(origin.url,)), port=ports[1]))
         wait(lambda: not edge.registry.unready)
-        page = stack.enter_context(chromium.new_context()).new_page()
-        goes_to_an_edge(page, f"{origin.url}/?stream=main", lambda: edge.registry.turned_away["4404"])
+        page = stack.enter_context(chromium.new_context(viewport=SMALL)).new_page()
+        goes_to_an_edge(
+            page, f"{origin.url}/?stream=main&quality=low&sway=0", lambda: edge.registry.turned_away["4404"]
+        )
         wait(lambda: pages_at(origin) == 1, 60)
         shows(page, "s.version > 0 && !['missing', 'reconnecting', 'connecting'].includes(s.phase)")
         page.evaluate(WATCH)
-        page.wait_for_function("window.seen > 50", timeout=60_000)
+        page.wait_for_function("window.seen > 25", **WAIT)
         assert pages_at(origin) == 1  # and stays there
         assert edge.registry.turned_away["4404"] == 1
