@@ -23,8 +23,8 @@ ALLOWED = {
 # stands on the server and the client, and nothing imports it.
 LAYERS = {
     "core": (
-        "close_codes errors field_faults arrays files gaps masking runtime background_log version options progress_bar"
-        " web_address",
+        "close_codes errors field_faults arrays files gaps masking runtime background_log repeating version options"
+        " progress_bar web_address",
         "camera", "frames", "scene", "render metrics data synthetic initialise", "train calibration",
     ),
     "core.train": (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -15,6 +15,7 @@ import av
 from streamlod.core.camera import Camera
 from streamlod.core.data.video.file import ONE_CLOCK
 from streamlod.core.errors import InputError
+from streamlod.core.repeating import repeating
 from streamlod.server.ingest.board_sight import BoardSight
 from streamlod.server.ingest.cameras.definition import RigDefinition
 from streamlod.server.ingest.push.intake import Intake
@@ -114,35 +115,27 @@ def first_whole(rig: WatchedRig, seconds: float, waiting: Callable[[Mapping[str,
     raise InputError("rig", f"had no instant with pictures of all cameras within {seconds:.0f} s")
 
 
-@contextmanager
-def _telling(rig: WatchedRig, tell: Callable[[Mapping[str, str]], None]) -> Iterator[None]:
+def _telling(rig: WatchedRig, tell: Callable[[Mapping[str, str]], None]) -> AbstractContextManager[None]:
     """Call `tell` with the cameras that do not deliver as they should, and why: a few seconds after this is another.
 
     What is said again and again would push a phone's QR code out of the terminal.
     """
-    over = threading.Event()
+    before = dict(rig.paces)
+    told: Mapping[str, str] | None = None
 
     def watch() -> None:
-        before = dict(rig.paces)
-        told: Mapping[str, str] | None = None
-        while not over.wait(_TELL_SECONDS):
-            now = dict(rig.paces)
-            rates = {name: pace.since(before[name], _JUDGED * _TELL_SECONDS) for name, pace in now.items()}
-            slow = {name: rate for name, rate in rates.items() if rate is not None and rate < _SLOWEST * rig.fps}
-            why_slow = _SLOW.format(min(slow.values(), default=0.0), rig.fps)  # one reason, so that it is told once
-            before = now
-            trouble = dict.fromkeys(slow, why_slow) | _missing(rig)
-            if trouble != told:
-                tell(trouble)
-            told = trouble
+        nonlocal before, told
+        now = dict(rig.paces)
+        rates = {name: pace.since(before[name], _JUDGED * _TELL_SECONDS) for name, pace in now.items()}
+        slow = {name: rate for name, rate in rates.items() if rate is not None and rate < _SLOWEST * rig.fps}
+        why_slow = _SLOW.format(min(slow.values(), default=0.0), rig.fps)  # one reason, so that it is told once
+        before = now
+        trouble = dict.fromkeys(slow, why_slow) | _missing(rig)
+        if trouble != told:
+            tell(trouble)
+        told = trouble
 
-    telling = threading.Thread(target=watch, daemon=True, name="telling")
-    telling.start()
-    try:
-        yield
-    finally:
-        over.set()
-        telling.join()
+    return repeating(watch, _TELL_SECONDS, "telling")
 
 
 @dataclass(frozen=True, slots=True)

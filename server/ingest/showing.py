@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import asdict
 from typing import Any
 
 from streamlod.core.errors import InputError
+from streamlod.core.repeating import repeating
 from streamlod.server.ingest.recording import WatchedRig
 from streamlod.server.ingest.small_jpeg import small_jpeg
 from streamlod.server.ingest.sync.picture import Picture
@@ -16,28 +16,21 @@ from streamlod.server.ingest.sync.picture import Picture
 _SECONDS = 0.4  # from one round of pictures to the next
 
 
-@contextmanager
-def showing(rig: WatchedRig, show: Callable[[dict[str, Any], dict[str, bytes]], object]) -> Iterator[None]:
+def showing(
+    rig: WatchedRig, show: Callable[[dict[str, Any], dict[str, bytes]], object]
+) -> AbstractContextManager[None]:
     """Call `show` a few times a second with the rig's statistics and JPEG files by camera while the context lasts."""
-    over = threading.Event()
+    shown: dict[str, Picture] = {}
+    pictures: dict[str, bytes] = {}
 
-    def run() -> None:
-        shown: dict[str, Picture] = {}
-        pictures: dict[str, bytes] = {}
-        while not over.wait(_SECONDS):
-            for name, picture in dict(rig.newest).items():
-                if picture is not shown.get(name):
-                    shown[name] = picture
-                    pictures = pictures | _small(picture)
-            show(asdict(rig.statistics()), pictures)
+    def look() -> None:
+        for name, picture in dict(rig.newest).items():
+            if picture is not shown.get(name):
+                shown[name] = picture
+                pictures.update(_small(picture))
+        show(asdict(rig.statistics()), dict(pictures))
 
-    thread = threading.Thread(target=run, name="showing", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
+    return repeating(look, _SECONDS, "showing")
 
 
 def _small(picture: Picture) -> dict[str, bytes]:

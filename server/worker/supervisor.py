@@ -19,7 +19,8 @@ from streamlod.core.errors import BitstreamError
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import WorkerSettings
 from streamlod.server.worker.cluster.room import Shortage
-from streamlod.server.worker.process import Resume, Tag, resident_bytes, run_worker, send_resume
+from streamlod.server.worker.messages import Resume, Tag, send_resume
+from streamlod.server.worker.process import resident_bytes, run_worker
 from streamlod.server.worker.running_time import RunningTime
 
 _LOG = logging.getLogger(__name__)

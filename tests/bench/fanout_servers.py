@@ -23,7 +23,7 @@ from streamlod.server.protocol.packets import binary_frame
 from streamlod.server.service.app import create_app
 from streamlod.server.service.run import Server, server_config
 from streamlod.server.settings import Limits, Retention, Settings
-from streamlod.server.worker.process import Tag
+from streamlod.server.worker.messages import Tag
 from tests.bench.fanout_load import Run, kernel_bytes, make_packets, resident_bytes
 
 _ACCEPT = (

@@ -31,7 +31,9 @@ from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings, WorkerSettings
 from streamlod.server.worker import supervisor
-from streamlod.server.worker.process import HEARTBEAT_SECONDS, Sender, Tag, receive_resume, show_again
+from streamlod.server.worker.messages import Sender, Tag, receive_resume
+from streamlod.server.worker.process import HEARTBEAT_SECONDS
+from streamlod.server.worker.training import show_again
 from tests.client.web.conftest import TEST_FLAGS, chromium_path
 from tests.client.web.scenes import make_scene, moved
 from tests.server.conftest import running

@@ -10,7 +10,7 @@ from streamlod.codec.mp4.sound import SoundPiece, pack_piece
 from streamlod.codec.sound.encoder import SoundEncoder
 from streamlod.codec.sound.opus import SAMPLE_RATE
 from streamlod.server.stream.worker_stream import WorkerStream
-from streamlod.server.worker.process import Tag
+from streamlod.server.worker.messages import Tag
 from tests.clicks import clicks
 from tests.server.conftest import Running
 

@@ -37,7 +37,8 @@ from streamlod.server.pipeline.stages.stream import train_stream
 from streamlod.server.service.ingest_metrics import ingest_families
 from streamlod.server.settings import Settings, load_settings
 from streamlod.server.worker.camera_pictures import unpack_pictures
-from streamlod.server.worker.process import Sender, Tag, train
+from streamlod.server.worker.messages import Sender, Tag
+from streamlod.server.worker.training import train
 from tests.server.brief import brief_training
 from tests.server.conftest import Clip, running
 from tests.server.figures import figures

@@ -13,7 +13,7 @@ from streamlod.server.stream.traces import FrameStages, Stage, StageTimer
 from streamlod.server.stream.worker.encoder_run import EncoderRun
 from streamlod.server.worker.camera_pictures import unpack_pictures
 from streamlod.server.worker.ingest_report import complaint, sound_fault
-from streamlod.server.worker.process import Tag
+from streamlod.server.worker.messages import Tag
 
 _LOG = logging.getLogger(__name__)
 

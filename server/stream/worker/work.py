@@ -13,7 +13,7 @@ from streamlod.server.stream.worker.messages import WorkerMessages
 from streamlod.server.stream.worker.pausing import Pausing
 from streamlod.server.stream.worker.placing import Placing
 from streamlod.server.stream.worker.restoring import show_recorded
-from streamlod.server.worker.process import Resume, Tag
+from streamlod.server.worker.messages import Resume, Tag
 from streamlod.server.worker.supervisor import Ending
 
 _LOG = logging.getLogger(__name__)

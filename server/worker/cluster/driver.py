@@ -29,7 +29,7 @@ from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import RaySettings
 from streamlod.server.worker.cluster.link import LinkAddress, cut, dial, listening_at
 from streamlod.server.worker.cluster.room import NoRoom
-from streamlod.server.worker.process import Sender, Tag, receive_resume, send_resume
+from streamlod.server.worker.messages import Sender, Tag, receive_resume, send_resume
 
 _LOG = logging.getLogger(__name__)
 _JOIN_SECONDS = 30.0  # after which a cluster that does not answer is given up; Ray itself waits for minutes

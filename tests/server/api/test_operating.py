@@ -22,7 +22,7 @@ from streamlod.core.errors import InputError
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 from streamlod.server.stream.worker_stream import WorkerStream
-from streamlod.server.worker.process import Sender, Tag
+from streamlod.server.worker.messages import Sender, Tag
 from tests.attack.test_rights import bearer, close_code, write_tokens
 from tests.server.conftest import UNWATCHED, Clip, Running, make_clip, running, viewing
 from tests.waiting import wait

@@ -7,7 +7,7 @@ from multiprocessing.connection import Connection
 
 from streamlod.codec.container import SlodReader
 from streamlod.server.pipeline.spec import StreamSpec
-from streamlod.server.worker.process import Sender, Tag, receive_resume
+from streamlod.server.worker.messages import Sender, Tag, receive_resume
 
 
 def work(spec: StreamSpec, pipe: Connection, *_: object) -> None:

@@ -29,7 +29,7 @@ from streamlod.server.settings import Limits, Retention, Settings
 from streamlod.server.stream.recording.store import Store
 from streamlod.server.stream.worker_stream import WorkerStream
 from streamlod.server.viewer.session import ViewerSession
-from streamlod.server.worker.process import Tag
+from streamlod.server.worker.messages import Tag
 from tests.codec.scenes import grow, make_scene, move
 
 LIMITS = Limits(viewer_lag_seconds=0.01, messages_per_second=1e6, flight_bytes=65536)

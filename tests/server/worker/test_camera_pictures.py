@@ -16,7 +16,7 @@ from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 from streamlod.server.stream.worker_stream import WorkerStream
 from streamlod.server.worker.camera_pictures import CameraPictures, unpack_pictures
-from streamlod.server.worker.process import Tag
+from streamlod.server.worker.messages import Tag
 from tests.attack.test_rights import bearer, write_tokens
 from tests.core.data.writers import rig
 from tests.server.conftest import Clip, running

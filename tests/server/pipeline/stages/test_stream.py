@@ -29,7 +29,8 @@ from streamlod.server.pipeline.stages.encoding import EncodedFrame
 from streamlod.server.pipeline.stages.opened import open_job
 from streamlod.server.pipeline.stages.stream import train_stream
 from streamlod.server.pipeline.stages.trace import Span
-from streamlod.server.worker.process import Resume, Sender, Tag, show_again, train
+from streamlod.server.worker.messages import Resume, Sender, Tag
+from streamlod.server.worker.training import show_again, train
 from tests.core.data import writers
 from tests.server.brief import brief_training
 from tests.server.pipeline.jobs import JOB, SPEC

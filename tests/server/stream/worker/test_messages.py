@@ -13,7 +13,7 @@ from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 from streamlod.server.stream.worker_stream import WorkerStream
-from streamlod.server.worker.process import Tag
+from streamlod.server.worker.messages import Tag
 from tests.server.conftest import Clip
 from tests.server.figures import figures
 

@@ -20,7 +20,7 @@ from streamlod.server.settings import Retention, Settings
 from streamlod.server.stream.recording.store import Store
 from streamlod.server.stream.worker.restoring import MAX_AWAY_SECONDS
 from streamlod.server.stream.worker_stream import WorkerStream
-from streamlod.server.worker.process import Resume, Tag
+from streamlod.server.worker.messages import Resume, Tag
 from tests.codec.scenes import assert_same_state, move
 from tests.server.conftest import Clip
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from multiprocessing.connection import Connection
 
-from streamlod.server.worker.process import Sender, Tag
+from streamlod.server.worker.messages import Sender, Tag
 
 
 def find_no_room(_settings: object, _limit: int, _spec: object, pipe: Connection, *_: object) -> None:

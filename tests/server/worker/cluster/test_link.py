@@ -27,7 +27,7 @@ from streamlod.server.ingest.push.relay import RelayedIntake, listening, pass_on
 from streamlod.server.worker.cluster import link
 from streamlod.server.worker.cluster.driver import _pass_all, passing_pictures
 from streamlod.server.worker.cluster.link import MAX_UNPROVEN, LinkAddress, cut, dial, listening_at
-from streamlod.server.worker.process import Resume, send_resume
+from streamlod.server.worker.messages import Resume, send_resume
 from tests.waiting import wait
 
 HOST = "127.0.0.1"

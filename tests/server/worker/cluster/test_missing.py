@@ -14,7 +14,7 @@ from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import RaySettings, Settings
 from streamlod.server.worker.cluster.driver import run_on_ray
-from streamlod.server.worker.process import Tag
+from streamlod.server.worker.messages import Tag
 
 
 def join_nothing(pipe: Connection) -> None:
