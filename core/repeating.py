@@ -1,4 +1,4 @@
-"""What is done every few seconds beside something else."""
+"""Threads that do something every few seconds beside something else."""
 
 from __future__ import annotations
 
