@@ -36,7 +36,7 @@ LAYERS = {
         "api", "edge", "service", "cli",
     ),
     "server.ingest": (
-        "sync board_sight", "sound", "cameras", "finding", "statistics ahead watch small_jpeg",
+        "sync board_sight", "sound", "cameras", "finding", "statistics ahead watch small_jpeg findings holders",
         "knocks poses walk clap", "rig", "push", "live recording", "showing",
     ),
     "client": (

@@ -142,7 +142,7 @@ class LiveDataset(PlacedCameras):
             if self.definition.realtime:
                 found = stack.enter_context(closing(just_in_time(undistort, lambda _: rig.note_stale())))
             first: Instant | None = None
-            knocks, poses = Knocks(len(self.cameras)), PoseWatch(self.undistortions, rig.note_poses)
+            knocks, poses = Knocks(len(self.cameras)), PoseWatch(self.undistortions, rig.findings.note_poses)
             while index != stop:
                 rig.waiting = True
                 newest = next(found, None)
@@ -159,10 +159,10 @@ class LiveDataset(PlacedCameras):
                 first = instant if first is None else first
                 time_ns = first.capture_ns + round((instant.number - first.number) * period_of(self.fps))
                 knocks.look(images, present, pool)
-                rig.note_shifts(knocks.shifts, knocked := knocks.knocked)
+                rig.findings.note_shifts(knocks.shifts, knocked := knocks.knocked)
                 if (present & ~knocked).any():  # a knocked camera shows what is not where its pose says
                     present = present & ~knocked
-                poses.look(images, present, pool, rig.claims())
+                poses.look(images, present, pool, tuple(rig.holders.claims().values()))
                 yield FrameSet(index, time_ns, images, present, latency_ns)
                 index += 1
 
@@ -177,9 +177,9 @@ class LiveDataset(PlacedCameras):
             try:
                 into[:] = plan(picture.load())
             except InputError as error:
-                rig.note_decoded(picture.camera, error.fault)
+                rig.findings.note_decoded(picture.camera, error.fault)
                 return False
-            rig.note_decoded(picture.camera)
+            rig.findings.note_decoded(picture.camera)
             return True
 
         present = list(pool.map(one, self.undistortions, instant.pictures, images))

@@ -7,7 +7,6 @@ below one period plus the synchroniser's deadline.
 from __future__ import annotations
 
 import logging
-import re
 import threading
 import time
 from collections import deque
@@ -18,15 +17,15 @@ from types import MappingProxyType
 import av
 
 from streamlod.codec.mp4.sound import SoundPiece
-from streamlod.core.arrays import Bool
 from streamlod.core.camera.grid import period_of
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.board_sight import BoardSight
-from streamlod.server.ingest.cameras.address import Address
 from streamlod.server.ingest.cameras.definition import RigDefinition
 from streamlod.server.ingest.cameras.reader import Reader
-from streamlod.server.ingest.cameras.sound_reader import SoundReader
-from streamlod.server.ingest.cameras.source_thread import ENDED, SourceThread
+from streamlod.server.ingest.cameras.readers import readers
+from streamlod.server.ingest.cameras.source_thread import ENDED
+from streamlod.server.ingest.findings import Findings
+from streamlod.server.ingest.holders import Holders
 from streamlod.server.ingest.sound.hearing import Hearing
 from streamlod.server.ingest.sound.listening import CameraEar, Ear, Ears
 from streamlod.server.ingest.statistics import CameraStatistics, Statistics
@@ -39,7 +38,6 @@ _LOG = logging.getLogger(__name__)
 _LEAD = 4  # periods that the reader of an unpaced file may be ahead of the others; also instants that may wait
 _JOIN_SECONDS = 0.5
 _FOREVER_NS = 2**62
-_FILE_DELAY_NS = 300_000_000  # time to open files on all threads
 _SENDERS_CLOCKS = (ClockSource.NTP, ClockSource.STATED, ClockSource.TIMECODE)
 _CLOCK_LOST = f"its clock is {PLAUSIBLE_NS // 10**9} s off or more, or silent; its pictures are timed by their arrival"
 
@@ -51,14 +49,9 @@ class _Last:
     source: ClockSource | None = None
     error_ns: int = 0
     fault: str = ""
-    refused: str = ""  # why its newest picture could not be used
-    shift: float | None = None  # pixels that its picture has moved, at a width of 1000
-    knocked: bool = False
     ended: bool = False
     put: int = 0
     newest_ns: int | None = None
-    holder: object = None  # the capture node that pushes it
-    claims: int = 0  # how often a capture node began to push it
 
 
 class Rig:
@@ -73,6 +66,8 @@ class Rig:
     Attributes:
         fps: instants a second.
         pushed: (width, height) of each camera that capture nodes push, by name.
+        holders: who pushes those.
+        findings: what was found in the cameras' pictures.
         waiting: whether training waits; set by the consumer of `instants`.
     """
 
@@ -94,7 +89,7 @@ class Rig:
         self._last = {name: _Last() for name in self._names}
         self._instants: deque[Instant] = deque()
         self._virtual_ns = 0
-        self._pose_faults: tuple[str, ...] = ()
+        self.holders, self.findings = Holders(self._names), Findings(self._names)
         self._delivered = self._stale = self._latency_ns = 0
         quorum = self._quorum = max(1, definition.quorum - (len(definition.cameras) - len(self._names)))
         self._synchroniser = Synchroniser(
@@ -110,7 +105,6 @@ class Rig:
             for camera, address in zip(definition.cameras, definition.addresses, strict=True)
             if camera.name in self._last and address.scheme == "push"
         }
-        anchor = self._timeline.now_ns() + _FILE_DELAY_NS
         sound = self._sound = None if give_sound is None else definition.sound
         self._hearing: Hearing | None = None
         if sound is not None and give_sound is not None:
@@ -119,32 +113,7 @@ class Rig:
             if sound.camera is not None and sound.camera not in self._last:
                 self._hearing.gone("its camera is not used")
         self._ears = {name: ear for name in self._names if (ear := self._ear(name, listeners)) is not None}
-        self._readers: list[SourceThread] = [
-            Reader(
-                camera.name,
-                address,
-                (camera.width, camera.height),
-                definition.fps,
-                self,
-                self._timeline,
-                anchor_ns=anchor,
-                paced=self._paced,
-                hearing=self._ears.get(camera.name),
-            )
-            for camera, address in zip(definition.cameras, definition.addresses, strict=True)
-            if camera.name in self._last and camera.name not in self.pushed
-        ]
-        apart: list[tuple[Address, Ear]] = [
-            (address, self._ears[camera.name])
-            for camera, address in zip(definition.cameras, definition.addresses, strict=True)
-            if camera.name in self._ears and address.scheme == "file"
-        ]
-        if self._hearing is not None and sound is not None and sound.address is not None:
-            apart.append((sound.address, self._hearing))
-        self._readers += [
-            SoundReader(address, self.fps, ear, self._timeline, anchor_ns=anchor, paced=self._paced)
-            for address, ear in apart
-        ]
+        self._readers = readers(definition, self._names, self, self._timeline, self._ears, self._hearing)
 
     @property
     def now_ns(self) -> int:
@@ -189,11 +158,12 @@ class Rig:
 
     def gone(self, camera: str, reason: str, *, ended: bool) -> None:
         """A camera delivers nothing for now, or for good."""
+        self.holders.leave(camera)
         with self._change:
             last = self._last[camera]
             if reason != last.fault and not self._stopped:
                 _LOG.warning("camera %s: %s", camera, reason)
-            last.fault, last.ended, last.holder = reason, ended, None
+            last.fault, last.ended = reason, ended
             self._queue(self._synchroniser.leave(camera, self._clock_ns()))
             if self._is_over():
                 self._queue(self._synchroniser.finish(self._clock_ns()))
@@ -247,13 +217,7 @@ class Rig:
         with self._change:
             if (wrong := self._synchroniser.time_faults()[camera]) is not None:
                 return f"its {wrong.words}: reload this page; until then its pictures are left out"
-            if self._last[camera].knocked:
-                return "it was knocked: put it back as it stood, or calibrate again"
-            named = {
-                fault: {name for name in self._names if re.search(rf"\b{re.escape(name)}\b", fault)}
-                for fault in self._pose_faults
-            }
-        return next((fault for fault, names in named.items() if not names or camera in names), "")
+        return self.findings.complaint(camera)
 
     def put_sound(self, frame: av.AudioFrame, capture_ns: int) -> None:
         """Take sound that is pushed, recorded from `capture_ns` on."""
@@ -266,48 +230,6 @@ class Rig:
             if self._epoch_ns is None:
                 self._epoch_ns = self._timeline.now_ns() - round(number * period_of(self.fps))
             return self._epoch_ns
-
-    def claim(self, camera: str, holder: object) -> None:
-        """Make `holder` the one that pushes the camera, instead of whoever did before, as after a reconnection."""
-        with self._change:
-            self._last[camera].holder = holder
-            self._last[camera].claims += 1
-
-    def claims(self) -> tuple[int, ...]:
-        """How often a capture node began to push each camera."""
-        with self._change:
-            return tuple(last.claims for last in self._last.values())
-
-    def holds(self, camera: str, holder: object) -> bool:
-        """Whether nobody has claimed the camera after `holder`."""
-        return self._last[camera].holder is holder
-
-    def is_held(self, camera: str) -> bool:
-        """Whether somebody pushes the camera."""
-        return self._last[camera].holder is not None
-
-    def note_decoded(self, camera: str, fault: str = "") -> None:
-        """A picture of a camera was decoded for training, or could not be, for the reason `fault`."""
-        with self._change:
-            if fault and not self._last[camera].refused:
-                _LOG.warning("camera %s: %s", camera, fault)
-            self._last[camera].refused = fault
-
-    def note_shifts(self, shifts: Sequence[float | None], knocked: Bool) -> None:
-        """How far each camera's picture has moved since it is read, and which were knocked, see `knocks`."""
-        with self._change:
-            for name, pixels, is_knocked in zip(self._names, shifts, knocked, strict=True):
-                last = self._last[name]
-                if is_knocked and not last.knocked:
-                    _LOG.warning("camera %s was knocked: its picture has moved by %.0f of 1000 pixels", name, pixels)
-                last.shift, last.knocked = pixels, bool(is_knocked)
-
-    def note_poses(self, faults: tuple[str, ...]) -> None:
-        """Faults of the cameras' poses, see `poses`."""
-        with self._change:
-            for fault in set(faults) - set(self._pose_faults):
-                _LOG.warning("%s", fault)
-            self._pose_faults = faults
 
     def failure(self) -> InputError | None:
         """Why a rig of files has given out nothing, if a file is at fault."""
@@ -322,6 +244,7 @@ class Rig:
         """A snapshot."""
         cameras_read = [reader for reader in self._readers if isinstance(reader, Reader)]
         clocks = {reader.camera: (reader.clock, reader.connections) for reader in cameras_read}
+        claims = self.holders.claims()
         sound = None if self._hearing is None else self._hearing.fault()
         with self._change:
             now = self._clock_ns()
@@ -329,7 +252,8 @@ class Rig:
             silences, time_faults = self._synchroniser.silences_ns(now), self._synchroniser.time_faults()
             cameras = {}
             for name, last in self._last.items():
-                clock, connections = clocks.get(name, (None, last.claims))
+                clock, connections = clocks.get(name, (None, claims[name]))
+                found = self.findings.of(name)
                 drift = 0.0 if clock is None else clock.drift_ppm
                 cameras[name] = CameraStatistics(
                     states[name],
@@ -339,9 +263,9 @@ class Rig:
                     counts[name],
                     connections,
                     last.fault,
-                    last.refused,
-                    last.shift,
-                    last.knocked,
+                    found.refused,
+                    found.shift,
+                    found.knocked,
                     silences[name],
                     time_faults[name],
                     self._sizes[name],
@@ -356,7 +280,7 @@ class Rig:
                 self._synchroniser.steps,
                 cameras,
                 sound,
-                self._pose_faults,
+                self.findings.poses,
             )
 
     def _ear(self, camera: str, listeners: Mapping[str, CameraEar]) -> Ear | None:

@@ -52,17 +52,17 @@ class Intake:
         try:
             self._accept(message, size)
         except InputError as error:
-            if message.camera not in self._newest or self._rig.holds(message.camera, self):
+            if message.camera not in self._newest or self._rig.holders.holds(message.camera, self):
                 self._refused.add(message.camera)
-                self._rig.note_decoded(message.camera, error.fault)
+                self._rig.findings.note_decoded(message.camera, error.fault)
             raise
 
     def _accept(self, message: PushMessage, size: tuple[int, int]) -> None:
         still = None if message.codec is Codec.H264 else _announced(message, size)
         if message.camera not in self._newest:
-            self._rig.claim(message.camera, self)
+            self._rig.holders.claim(message.camera, self)
             self._newest[message.camera] = -1
-        if not self._rig.holds(message.camera, self):
+        if not self._rig.holders.holds(message.camera, self):
             raise InputError(f"camera {message.camera}", "is sent by another phone or capture node now")
         if message.sequence <= self._newest[message.camera]:
             return
@@ -79,7 +79,7 @@ class Intake:
         camera = message.camera
         if not self._rig.hears(camera):
             raise InputError(f"camera {camera}", "is not the one whose sound the rig wants")
-        if not self._rig.holds(camera, self):
+        if not self._rig.holders.holds(camera, self):
             return
         sound = self._sounds.setdefault(camera, PushedSound(camera))
         for frame, capture_ns in sound.decoded(message, self._rig.now_ns):
@@ -89,9 +89,9 @@ class Intake:
         """The rig's rate as `fps`, and `cameras` that are pushed: name, width, height, whether one is `taken`,
         whether its `sound` is wanted, a `complaint` of its times, place or name if there is one, and while a board's
         walk is recorded what it sees of the `board`."""
-        rig = self._rig
+        rig, held = self._rig, self._rig.holders.is_held
         cameras = [
-            {"name": name, "width": width, "height": height, "taken": rig.is_held(name), "sound": rig.hears(name)}
+            {"name": name, "width": width, "height": height, "taken": held(name), "sound": rig.hears(name)}
             | ({"complaint": said} if (said := rig.complaint(name)) else {})
             | ({} if (sight := rig.sight(name)) is None else {"board": asdict(sight)})
             for name, (width, height) in rig.pushed.items()
@@ -100,9 +100,9 @@ class Intake:
 
     def close(self) -> None:
         """The capture node has gone, and what was refused of it is no fault of who comes next under its names."""
-        held = [name for name in self._newest if self._rig.holds(name, self)]
-        for camera in {*held, *(name for name in self._refused if not self._rig.is_held(name))}:
-            self._rig.note_decoded(camera)
+        held = [name for name in self._newest if self._rig.holders.holds(name, self)]
+        for camera in {*held, *(name for name in self._refused if not self._rig.holders.is_held(name))}:
+            self._rig.findings.note_decoded(camera)
         for camera in held:
             self._rig.gone(camera, "its phone or capture node has disconnected", ended=False)
 

@@ -88,7 +88,7 @@ def test_a_phone_tells_who_holds_it_what_is_wrong_with_its_place_or_name(
             (("no camera's pose holds",), "Filming as phone1, but no camera's pose holds."),
             ((), "Filming as phone1."),
         ):
-            found.dataset.rig.note_poses(faults)
+            found.dataset.rig.findings.note_poses(faults)
             says(page, sentence)
 
 

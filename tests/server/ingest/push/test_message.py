@@ -255,7 +255,7 @@ def test_what_a_node_was_refused_goes_with_it(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="8x8"):
         first.accept(PushMessage("cam0", 1, rig.now_ns, Codec.JPEG, small))
     first.accept(PushMessage("cam1", 1, rig.now_ns, Codec.PNG, encoded(3)))
-    rig.note_decoded("cam1", "sent a picture that does not decode")  # as training finds out
+    rig.findings.note_decoded("cam1", "sent a picture that does not decode")  # as training finds out
     assert "8x8" in rig.statistics().cameras["cam0"].refused
     with pytest.raises(InputError, match="8x8"):
         other.accept(PushMessage("cam1", 1, rig.now_ns, Codec.JPEG, small))
