@@ -1,4 +1,4 @@
-"""What was found in the pictures of a running rig: damage, cameras that were knocked, poses that do not hold."""
+"""Findings in the pictures of a running rig: damage, cameras that were knocked, poses that do not hold."""
 
 from __future__ import annotations
 
