@@ -15,7 +15,7 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What was found of one camera.
+    """Findings about one camera.
 
     Attributes:
         refused: why its newest picture could not be used; empty when it could.
@@ -42,7 +42,7 @@ class Findings:
         self.poses: tuple[str, ...] = ()
 
     def of(self, camera: str) -> Found:
-        """What was found of one camera."""
+        """The findings about one camera."""
         return self._found[camera]
 
     def note_decoded(self, camera: str, fault: str = "") -> None:

@@ -15,7 +15,7 @@ from tests.client.evaluation.conftest import shortened
 from tests.device.pretend import counted
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.cuda
 def test_a_study_on_a_gpu_measures_what_one_on_the_cpu_does(clip: Path, tmp_path: Path, gpu: str) -> None:
     (ours, *_) = study_rows("live", [])

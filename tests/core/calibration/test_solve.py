@@ -86,7 +86,7 @@ def test_slow_cameras_are_known_as_well_as_is_stated() -> None:
     assert (metres < 2 * found.errors[:, 1]).all()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_standard_errors_say_how_well_poses_are_known() -> None:
     """Those of all cameras, also where what is wrong is shared by all corners of a picture."""
     truth = rig()

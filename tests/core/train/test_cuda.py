@@ -118,7 +118,7 @@ def test_rate_and_adam_equal_the_cpu(gpu: str) -> None:
     torch.testing.assert_close(*ended, rtol=1e-5, atol=1e-5)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_frames_train_as_well_as_on_the_cpu(gpu: str) -> None:
     """In the mean of some seeds: one run that rounds differently may be 0.8 dB off."""
     spec = SyntheticSpec(cameras=3, frames=2, width=64, height=36, seed=2)

@@ -138,7 +138,7 @@ def bound(config: TrainConfig, clip: Dataset, pictures: list[UInt8], first: Scen
     return float(np.mean(burst)), quality(scenes[-1], clip, pictures[-1])
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_burst_stays_within_the_buffer_and_quality_returns(
     clip: Dataset, pictures: list[UInt8], first: Scene
 ) -> None:

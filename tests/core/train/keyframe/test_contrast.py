@@ -26,7 +26,7 @@ def test_contrast_is_the_mean_deviation_of_usable_pictures_within_a_channel() ->
     assert Views(ring(3), torch.full((3, 32, 48, 3), 0.7), [0, 1, 2]).contrast == pytest.approx(0, abs=1e-6)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_dark_scene_keeps_its_detail() -> None:
     clip = open_synthetic(SPEC)
     frame, points = next(iter(clip.frames())), true_points(SPEC)

@@ -81,7 +81,7 @@ def left_behind(
     return int((np.concatenate(depth) > 0.75).sum()), float(quality)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_anchors_that_a_wall_hides_are_not_sent() -> None:
     cameras = ring(3)
     pictures, visible, hidden = printed_wall(cameras, 1.2), wall(300), wall(300, seed=1)

@@ -124,7 +124,7 @@ def test_coarse_levels_show_more_than_as_many_other_anchors() -> None:
     assert grades == sorted(grades)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_levels_learn_to_do_without_the_finer_ones() -> None:
     """In the mean of some seeds: ten gained -1.0 to 3.8 dB, 1.2 in the mean, and on another processor others."""
     cameras = ring(3)

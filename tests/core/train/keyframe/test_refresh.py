@@ -118,7 +118,7 @@ def test_a_frame_budget_sends_the_state_as_it_is(clip: Dataset, frames: list[Fra
     assert after.residual.changed > 0
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_keyframe_after_keyframe_keeps_what_is_hidden_for_now(
     clip: Dataset, frames: list[FrameSet], first: Scene
 ) -> None:

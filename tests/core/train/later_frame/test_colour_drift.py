@@ -111,10 +111,12 @@ def test_a_camera_that_is_not_known_is_not_judged() -> None:
     assert bool(without_drift(views, drift, unknown).targets.isfinite().all())
 
 
-@pytest.mark.long
-def test_a_thousand_frames_end_where_they_began() -> None:
+@pytest.mark.parametrize(
+    "count", [pytest.param(250, marks=pytest.mark.long), pytest.param(1000, marks=pytest.mark.slow)]
+)
+def test_exposures_end_where_they_began(count: int) -> None:
     drift, reference = neutral(COUNT), scene()
-    for index in range(1000):
+    for index in range(count):
         now = reference.clone()
         now[2] = now[2] * (1 + 0.2 * math.sin(2 * math.pi * index / 250))
         views = filmed(now, index)

@@ -39,6 +39,9 @@ CLIPS: dict[str, tuple[SyntheticSpec, dict[str, Value]]] = {
     "half size first": (SyntheticSpec(cameras=3, frames=2, width=400, height=300, seed=3), {"predict.epochs": 5}),
 }
 
+MINUTES = ("more moves", "half size first")
+PARAMETERS = [pytest.param(name, marks=pytest.mark.slow) if name in MINUTES else name for name in CLIPS]
+
 
 @dataclass(frozen=True)
 class Run:
@@ -80,7 +83,7 @@ def run_of(name: str, engine: str, device: str = "cpu") -> Run:
     return Run(quality(trainer.scene, clip, frame), size_bytes, added, steps)
 
 
-@pytest.mark.parametrize("name", CLIPS)
+@pytest.mark.parametrize("name", PARAMETERS)
 def test_frames_are_those_of_the_usual_engine(name: str) -> None:
     usual, warp = (run_of(name, engine) for engine in ENGINES)
     assert usual.steps == warp.steps > 0

@@ -95,7 +95,7 @@ def test_nothing_is_drawn_where_flow_says_nothing() -> None:
     assert not better_starts(torch.zeros(4, 3), Refusing(moved_state())).any()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_what_moves_is_shown_better_by_search() -> None:
     """Search saves error on what moves and bytes; a clip may show only one of them, so their product is compared."""
