@@ -153,14 +153,13 @@ def sparse(folder: Path) -> Path:
 def arrives(page: Any, version: int) -> None:
     """Wait for a picture, at which its sound is heard. The page needs AT_PICTURES.
 
-    A busy machine may show one late: then it is sought again.
+    A busy machine may show one late, or before its sound plays: then it is sought again.
     """
     off = None
     for _ in range(3):
         page.wait_for_function("(version) => version in off", arg=version, **WAIT)
         off = page.evaluate("(version) => off[version]", version)
-        assert off is not None
-        if abs(off) < 150:
+        if off is not None and abs(off) < 150:
             return
         page.evaluate("(version) => { delete off[version]; streamlod.seek(version - 1); }", version)
     raise AssertionError(f"{off} ms off, three times")

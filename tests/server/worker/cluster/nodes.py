@@ -16,6 +16,7 @@ _ENVIRONMENT = {
     "RAY_worker_niceness": "0",  # 15 by default, with which an actor starts in a minute on a busy machine
     "RAY_USAGE_STATS_ENABLED": "0",
 }
+_STARTS = 3
 _NODE = {"node_ip_address": ADDRESS, "include_dashboard": False, "object_store_memory": 80_000_000}
 
 
@@ -54,12 +55,10 @@ class Nodes:
 @contextmanager
 def ray_nodes(*cpus: int) -> Iterator[Nodes]:
     """A head without room for actors, and nodes with so many cores each."""
-    from ray.cluster_utils import Cluster
-
     with pytest.MonkeyPatch.context() as patch:
         for name, value in _ENVIRONMENT.items():
             patch.setenv(name, value)
-        cluster = Cluster(initialize_head=True, head_node_args=_NODE | {"num_cpus": 0})
+        cluster = _with_head()
         try:
             nodes = Nodes(cluster)
             for count in cpus:
@@ -68,6 +67,22 @@ def ray_nodes(*cpus: int) -> Iterator[Nodes]:
             yield nodes
         finally:
             cluster.shutdown()
+
+
+def _with_head() -> Any:
+    """A cluster whose head is up: Ray gives a node half a minute to start, which a busy machine may exceed."""
+    from ray.cluster_utils import Cluster
+
+    for tries_left in reversed(range(_STARTS)):
+        cluster = Cluster()
+        try:
+            cluster.add_node(num_cpus=0, **_NODE)
+        except Exception as error:
+            if "timed out during startup" not in str(error) or not tries_left:
+                raise
+        else:
+            return cluster
+    raise AssertionError
 
 
 def _raylet(node: Any) -> int:
