@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Sequence
 from itertools import combinations, product
 
 import numpy as np
@@ -20,20 +19,6 @@ _SQUARES_A_SECOND = 8.0  # speed of a board from which exposures of 15 ms blur a
 _SHORTLY_S = 1.0  # before or after another camera sees the board, a camera that sees it then has lost it in between
 
 
-@dataclass(frozen=True, slots=True)
-class _Meetings:
-    """Pictures of two cameras at one time.
-
-    Attributes:
-        seen: how many of them show the board to both.
-        sights: (camera, picture) where the board was seen too badly by one while the other saw it, or shortly before or
-            after that.
-    """
-
-    seen: int
-    sights: tuple[tuple[int, int], ...]
-
-
 def apart(tracks: Sequence[Track], offsets: Float64, inside: set[int], usable: int, board: Float64) -> InputError:
     """The error for the cameras that are not `inside` a rig, with what the tracks show as the cause.
 
@@ -43,8 +28,8 @@ def apart(tracks: Sequence[Track], offsets: Float64, inside: set[int], usable: i
         board: [J,3] corners in metres.
     """
     outside = [number for number in range(len(tracks)) if number not in inside]
-    pairs = [_meetings(tracks, offsets, a, b) for a, b in product(sorted(inside), outside)]
-    seen = max(pair.seen for pair in pairs)
+    meetings = [_meetings(tracks, offsets, a, b) for a, b in product(sorted(inside), outside)]
+    seen = max(both for both, _ in meetings)
     names = [spoken((tracks[number].camera for number in each), 8) for each in (outside, sorted(inside))]
     if usable:
         often = f"at {usable} instants only"
@@ -52,7 +37,7 @@ def apart(tracks: Sequence[Track], offsets: Float64, inside: set[int], usable: i
         often = f"in {seen} picture{'s' if seen > 1 else ''}, none of which can be used"
     else:
         often = "never"
-    cause = _bad_sights(tracks, [sight for pair in pairs for sight in pair.sights], board)
+    cause = _bad_sights(tracks, set[tuple[int, int]]().union(*(sights for _, sights in meetings)), board)
     if cause is None and seen >= MIN_SHARED:
         cause = "the poses do not agree: a camera moved, the times are wrong, or the board was far away; film it again"
     return InputError(
@@ -73,7 +58,7 @@ def in_turn(tracks: Sequence[Track], offsets: Float64, board: Float64) -> InputE
     """
     joined = np.eye(len(tracks), dtype=bool)
     for a, b in combinations(range(len(tracks)), 2):
-        joined[a, b] = joined[b, a] = _meetings(tracks, offsets, a, b).seen >= MIN_SHARED
+        joined[a, b] = joined[b, a] = _meetings(tracks, offsets, a, b)[0] >= MIN_SHARED
     count, groups = connected_components(joined)
     if count == 1:
         return None
@@ -81,7 +66,9 @@ def in_turn(tracks: Sequence[Track], offsets: Float64, board: Float64) -> InputE
     return apart(tracks, offsets, set(np.flatnonzero(groups == largest).tolist()), 0, board)
 
 
-def _meetings(tracks: Sequence[Track], offsets: Float64, a: int, b: int) -> _Meetings:
+def _meetings(tracks: Sequence[Track], offsets: Float64, a: int, b: int) -> tuple[int, set[tuple[int, int]]]:
+    """How many pictures at one time show the board to both of two cameras; and (camera, picture) where one saw it too
+    badly while the other saw it, or shortly before or after that."""
     both, sights = 0, set[tuple[int, int]]()
     for one, other in ((a, b), (b, a)):
         mine = np.flatnonzero(tracks[one].seen >= MIN_CORNERS)
@@ -95,10 +82,10 @@ def _meetings(tracks: Sequence[Track], offsets: Float64, a: int, b: int) -> _Mee
         both = max(both, int((now & (tracks[other].seen[near] >= MIN_CORNERS)).sum()))
         sights |= {(other, int(row)) for row in near[away <= _SHORTLY_S]}
         sights |= {(one, int(row)) for row in mine[now]}
-    return _Meetings(both, tuple(sorted(sights)))
+    return both, sights
 
 
-def _bad_sights(tracks: Sequence[Track], sights: Sequence[tuple[int, int]], board: Float64) -> str | None:
+def _bad_sights(tracks: Sequence[Track], sights: Collection[tuple[int, int]], board: Float64) -> str | None:
     """One sentence on a camera that mostly saw the board too small, or too fast, in these of its pictures."""
     found = []
     for camera in sorted({camera for camera, _ in sights}):

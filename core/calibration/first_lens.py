@@ -62,7 +62,10 @@ def chosen_corners(track: Track, board: Float64) -> tuple[Sequence[Float64], Seq
         )
     chosen = covering([cells_of(track.corners[row], track.size) for row in spread], _MAX_PICTURES)
     pictures = track.corners[np.array(spread)[chosen]]
-    return _pairs(pictures, board)
+    known: list[Int64] = [np.flatnonzero(np.isfinite(corners[:, 0])) for corners in pictures]
+    objects = [np.asarray(board[row], np.float32) for row in known]
+    points = [np.asarray(corners[row], np.float32)[:, None] for corners, row in zip(pictures, known, strict=True)]
+    return objects, points  # type: ignore[return-value]
 
 
 def _is_spread(corners: Float64) -> bool:
@@ -70,10 +73,3 @@ def _is_spread(corners: Float64) -> bool:
     known = corners[np.isfinite(corners[:, 0])]
     across = np.linalg.svd(known - known.mean(axis=0), compute_uv=False)
     return bool(across[1] > 0.1 * across[0])
-
-
-def _pairs(pictures: Float64, board: Float64) -> tuple[Sequence[Float64], Sequence[Float64]]:
-    rows: list[Int64] = [np.flatnonzero(np.isfinite(corners[:, 0])) for corners in pictures]
-    objects = [np.asarray(board[row], np.float32) for row in rows]
-    points = [np.asarray(c[row], np.float32)[:, None] for c, row in zip(pictures, rows, strict=True)]
-    return objects, points  # type: ignore[return-value]

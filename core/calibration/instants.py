@@ -13,8 +13,14 @@ from streamlod.core.arrays import Float64, Int64
 from streamlod.core.calibration.track import MIN_CORNERS, SPAN_S, Track
 
 MAX_INSTANTS = 400
-_ACROSS, _DOWN = 6, 4  # cells of a picture
+ACROSS, DOWN = 6, 4  # cells of a picture
 _ENOUGH = 30  # times that a cell or a pair of cameras is wanted
+
+
+def cell_numbers(points: Float64, size: tuple[int, int]) -> tuple[Int64, Int64]:
+    """[N] columns and [N] rows of the cells of a picture of `size` in which points [N,2] lie."""
+    across = np.clip(points[:, 0] / size[0] * ACROSS, 0, ACROSS - 1).astype(int)
+    return across, np.clip(points[:, 1] / size[1] * DOWN, 0, DOWN - 1).astype(int)
 
 
 def cells_of(corners: Float64, size: tuple[int, int]) -> frozenset[Hashable]:
@@ -22,8 +28,7 @@ def cells_of(corners: Float64, size: tuple[int, int]) -> frozenset[Hashable]:
     known = corners[np.isfinite(corners[:, 0])]
     if not len(known):
         return frozenset()
-    across = np.clip(known[:, 0] / size[0] * _ACROSS, 0, _ACROSS - 1).astype(int)
-    down = np.clip(known[:, 1] / size[1] * _DOWN, 0, _DOWN - 1).astype(int)
+    across, down = cell_numbers(known, size)
     extent = np.ptp(known, axis=0) / max(size)
     shape = ("shape", round(float(extent[0]) * 8), round(float(extent[1]) * 8))
     return frozenset({*zip(across.tolist(), down.tolist(), strict=True), shape})

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from streamlod.core.arrays import Float64
+from streamlod.core.calibration.instants import ACROSS, DOWN, cell_numbers
 from streamlod.core.calibration.solve import Calibration
 from streamlod.core.calibration.walk_coverage import QUARTERS
 from streamlod.core.data.names import spoken
@@ -23,7 +24,6 @@ _WEAK_DEGREES = 0.3  # standard error of a direction, mostly that of the lens's 
 _WEAK_SECONDS = 0.005  # standard deviation of a camera's times
 _SLOW_READOUT = 0.01  # seconds from which what people do is seen to be slanted
 _WEAK_SEEN = 0.35  # part of a picture's cells that the board should have been in
-_ACROSS, _DOWN = 6, 4
 
 
 def table_of(calibration: Calibration) -> str:
@@ -50,7 +50,7 @@ def advice_of(calibration: Calibration) -> Iterator[str]:
     for number, camera in enumerate(calibration.cameras):
         cells = _cells(calibration, number)
         if cells.mean() < _WEAK_SEEN:
-            seen = cells.reshape(2, _DOWN // 2, 2, _ACROSS // 2).mean(axis=(1, 3))  # of each quarter
+            seen = cells.reshape(2, DOWN // 2, 2, ACROSS // 2).mean(axis=(1, 3))  # of each quarter
             yield (
                 f"{camera.name} saw the board in {100 * cells.mean():.0f} % of its picture, least in its "
                 f"{QUARTERS[seen.argmin()]}: walk the board there to know its lens better"
@@ -134,24 +134,19 @@ def _draw_rig(calibration: Calibration, axes: Axes) -> None:
 
 def _draw_camera(calibration: Calibration, number: int, axes: Axes) -> None:
     camera, mine = calibration.cameras[number], calibration.seen.camera == number
-    points = _pixels(calibration, number)
     miss = np.linalg.norm(calibration.misses[mine], axis=1)
-    axes.scatter(points[:, 0], points[:, 1], c=miss, s=3, cmap="viridis", vmin=0, vmax=1.5)
+    x, y = calibration.seen.value[mine].T
+    axes.scatter(x, y, c=miss, s=3, cmap="viridis", vmin=0, vmax=1.5)
     axes.set_xlim(0, camera.width)
     axes.set_ylim(camera.height, 0)
     axes.set_aspect("equal")
     axes.set_title(f"{camera.name}: {calibration.rms(number):.2f} px", fontsize=8)
 
 
-def _pixels(calibration: Calibration, number: int) -> Float64:
-    return np.asarray(calibration.seen.value[calibration.seen.camera == number], np.float64)
-
-
 def _cells(calibration: Calibration, number: int) -> Float64:
-    """[4,6] 1 for the cells of a camera's picture in which corners were seen."""
-    camera, points = calibration.cameras[number], _pixels(calibration, number)
-    across = np.clip(points[:, 0] / camera.width * _ACROSS, 0, _ACROSS - 1).astype(int)
-    down = np.clip(points[:, 1] / camera.height * _DOWN, 0, _DOWN - 1).astype(int)
-    found = np.zeros((_DOWN, _ACROSS))
+    """[DOWN,ACROSS] 1 for the cells of a camera's picture in which corners were seen."""
+    camera, found = calibration.cameras[number], np.zeros((DOWN, ACROSS))
+    points = calibration.seen.value[calibration.seen.camera == number]
+    across, down = cell_numbers(points, (camera.width, camera.height))
     found[down, across] = 1
     return found

@@ -20,7 +20,7 @@ from streamlod.core.calibration.graph import first_poses
 from streamlod.core.calibration.instants import chosen_instants, independent
 from streamlod.core.calibration.known_lens import check_known
 from streamlod.core.calibration.stillness import check_still
-from streamlod.core.calibration.sync import FirstOffsets, first_offsets
+from streamlod.core.calibration.sync import first_offsets
 from streamlod.core.calibration.track import Track
 from streamlod.core.calibration.trust import check_agreement, check_certainty, check_lens, near_enough
 from streamlod.core.calibration.world import find_floor
@@ -44,14 +44,14 @@ class Calibration:
         readouts: [C,2] seconds that each camera takes to read a picture from left to right, and from top to bottom.
         periods: [C] seconds between each camera's pictures.
         errors: [C,2] standard errors of directions in degrees and of places in metres, in the rig as a whole.
-        uneven: [C] seconds by which each camera's times are off, a standard deviation.
-        heard: [C] such seconds as `offsets`, to any one clock, by what cameras heard; NaN where that does not tell.
-        by_sound: [C] whether a camera's offset rests on that, as the board does not tell it.
-        guessed: [C] whether nothing tells it but a board held still.
+        uneven: [C] standard deviation of each camera's times, in seconds.
+        heard: [C] offsets to some common clock by sound, in seconds; NaN where unknown.
+        by_sound: [C] whether a camera's offset rests on sound, as the board does not determine it.
+        guessed: [C] whether it rests on nothing but a board held still.
         floor_by_board: whether the board lay on the floor; else up is as the cameras are held.
         times: [I] common seconds of the instants used.
         boards: [I,3] the board's centre at these, in the world.
-        seen: the corners used. misses: [N,2] pixels by which they lie off, what uneven times explain left out.
+        seen: the corners used. misses: [N,2] their reprojection errors, less the part that uneven times explain.
     """
 
     cameras: tuple[Camera, ...]
@@ -91,8 +91,8 @@ def calibrate(
 
     Args:
         known: lenses [9] by camera that are kept.
-        heard: [C] seconds that lead from each camera's clock to any one by sound, NaN where it does not tell; None
-            for no sound.
+        heard: [C] seconds to add to each camera's clock to get some common one, by sound; NaN where unknown, None
+            without sound.
 
     Raises:
         InputError: a camera that saw too little, does not agree with the others, or has another lens than is known; it
@@ -113,6 +113,7 @@ def calibrate(
 
 
 def _placed(tracks: Sequence[Track], board: Board, lenses: Float64, fixed: Bool, heard: Float64) -> Calibration:
+    """The rig from first `lenses` [C,9], of which those `fixed` [C] stay."""
     names = [track.camera for track in tracks]
     clocks = first_offsets(tracks, lenses, board.corners, board.centre, heard)
     times = chosen_instants(tracks, clocks.seconds)
@@ -122,15 +123,42 @@ def _placed(tracks: Sequence[Track], board: Board, lenses: Float64, fixed: Bool,
     placed = np.isfinite(first.boards[:, 0])
     times = times[placed]
     scene = AdjustedRig(lenses, first.cameras, clocks.seconds, np.zeros((len(tracks), 2)), first.boards[placed])
-    known = Known(first.root, fixed, clocks.held(first.root))
-    found, corners, uneven = _adjusted(tracks, times, scene, board, known)
+    root = first.root
+    found, corners, uneven = _adjusted(tracks, times, scene, board, Known(root, fixed, clocks.held(root)))
     check_certainty(names, found, corners)
-    return _calibration(tracks, board, times, found, corners, uneven, first.root, heard, clocks)
+    scene = found.scene
+    floor = find_floor(scene.cameras, scene.boards, times, board.centre)
+    poses = rigid.after(scene.cameras, rigid.inverse(floor.to_world))
+    cameras = [
+        opencv_camera(track.camera, matrix_of(lens), rigid.matrix(pose), track.size, lens[4:].copy())
+        for track, lens, pose in zip(tracks, scene.lenses, poses, strict=True)
+    ]
+    for camera in cameras:
+        check_lens(camera, "where it saw the board; walk the board through all of its picture")
+    centre = np.concatenate([np.zeros(3), board.centre])
+    return Calibration(
+        cameras=tuple(cameras),
+        root=root,
+        offsets=scene.offsets - scene.offsets[root],
+        readouts=scene.readouts,
+        periods=np.array([track.period for track in tracks]),
+        errors=found.errors * [np.degrees(1), 1],
+        uneven=uneven.seconds,
+        heard=heard,
+        by_sound=clocks.by_sound(root),
+        guessed=clocks.guessed(root),
+        floor_by_board=floor.by_board,
+        times=times,
+        boards=rigid.after(floor.to_world, rigid.after(scene.boards, centre))[:, 3:],
+        seen=corners,
+        misses=found.misses,
+    )
 
 
 def _adjusted(
     tracks: Sequence[Track], times: Float64, scene: AdjustedRig, board: Board, known: Known
 ) -> tuple[Adjusted, Observations, UnevenTimes]:
+    """The best scene, the corners that it explains, and how uneven the cameras' times are."""
     names, sizes = [track.camera for track in tracks], [track.size for track in tracks]
     corners = observed(tracks, times, scene.offsets, board.corners)
     found = adjust(scene, corners, sizes, known)
@@ -147,44 +175,3 @@ def _adjusted(
         if np.abs(found.scene.offsets - before).max() < _SETTLED * min(track.period for track in tracks):
             break
     return found, corners, uneven
-
-
-def _calibration(
-    tracks: Sequence[Track],
-    board: Board,
-    times: Float64,
-    found: Adjusted,
-    corners: Observations,
-    uneven: UnevenTimes,
-    root: int,
-    heard: Float64,
-    clocks: FirstOffsets,
-) -> Calibration:
-    scene = found.scene
-    floor = find_floor(scene.cameras, scene.boards, times, board.centre)
-    placed = rigid.after(scene.cameras, rigid.inverse(floor.to_world))
-    cameras = [
-        opencv_camera(track.camera, matrix_of(lens), rigid.matrix(pose), track.size, lens[4:].copy())
-        for track, lens, pose in zip(tracks, scene.lenses, placed, strict=True)
-    ]
-    for camera in cameras:
-        check_lens(camera, "where it saw the board; walk the board through all of its picture")
-    centre = np.concatenate([np.zeros(3), board.centre])
-    boards = rigid.after(floor.to_world, rigid.after(scene.boards, centre))[:, 3:]
-    return Calibration(
-        cameras=tuple(cameras),
-        root=root,
-        offsets=scene.offsets - scene.offsets[root],
-        readouts=scene.readouts,
-        periods=np.array([track.period for track in tracks]),
-        errors=found.errors * [np.degrees(1), 1],
-        uneven=uneven.seconds,
-        heard=heard,
-        by_sound=clocks.by_sound(root),
-        guessed=clocks.guessed(root),
-        floor_by_board=floor.by_board,
-        times=times,
-        boards=boards,
-        seen=corners,
-        misses=found.misses,
-    )

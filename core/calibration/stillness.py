@@ -1,7 +1,7 @@
 """A camera that was turned in the midst of a walk: from some instant on, it stands otherwise to all the others.
 
-Adjustment spreads such a turn over lenses and boards, until nothing looks far off. So it is looked for before, in the
-poses of the board that each camera found by itself.
+Bundle adjustment spreads such a turn over lenses and board poses, until no residual is large. So it is looked for
+before, in the poses of the board that each camera found by itself.
 """
 
 from __future__ import annotations

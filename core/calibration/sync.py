@@ -56,9 +56,9 @@ class FirstOffsets:
     """Offsets of clocks before adjustment.
 
     Attributes:
-        seconds: [C] that lead from each camera's clock to that of one of them; chance where nothing tells.
-        anchors: [C] the camera to whose clock the path of a board that moves leads.
-        heard: [C] whether sound leads from a camera that is such an anchor to the others.
+        seconds: [C] to add to each camera's clock to get that of one of them; arbitrary where nothing determines it.
+        anchors: [C] the camera to whose clock each camera's offset is known by the path of a moving board.
+        heard: [C] whether the offset of a camera that is such an anchor is known by sound.
     """
 
     seconds: Float64
@@ -75,7 +75,7 @@ class FirstOffsets:
         return np.asarray((self.anchors != self.anchors[root]) & ~self.by_sound(root), np.bool_)
 
     def held(self, root: int) -> Bool:
-        """[C] whose clocks are to stay as sound has them: a still board tells nothing but its noise of them."""
+        """[C] whether a camera's clock is to stay as sound has it: a board held still would add nothing but noise."""
         return np.asarray(self.by_sound(root) & (self.anchors == np.arange(len(self.anchors))), np.bool_)
 
 
@@ -88,7 +88,7 @@ def first_offsets(
 
     Args:
         lenses: [C,9]. board: [J,3] corners. centre: [3] of the board, in metres.
-        heard: [C] such seconds by sound; NaN where it does not tell. None for no sound.
+        heard: [C] such seconds by sound, NaN where it does not determine them; None without sound.
     """
     paths = [_path(track, lens, board, centre) for track, lens in zip(tracks, lenses, strict=True)]
     by_sound = np.full(len(tracks), np.nan) if heard is None else heard

@@ -22,10 +22,10 @@ class CornerCurve:
     Attributes:
         picture_time: [N] seconds by the camera's clock; t counts from there.
         value, slope, bend: [N,J,2] pixels, pixels a second, and half the acceleration; NaN where not known.
-        neighbours: [N,J,2] one over the seconds to the pictures before and behind through which the curve goes, 0 where
-            it goes through none.
-        error: [N,J] pixels by which it is off at the times, as far as four pictures tell; 0 where it goes through less
-            than three.
+        neighbours: [N,J,2] one over the seconds to the pictures before and after that the curve goes through, 0 without
+            one.
+        error: [N,J] pixels by which the parabola may be off at the times, estimated from four pictures; 0 where it goes
+            through fewer than three.
     """
 
     picture_time: Float64
@@ -70,8 +70,8 @@ class Track:
         """Curves of all corners near `times` [N], ascending, by the camera's clock.
 
         A parabola goes through the corner in the nearest picture and in those a fifteenth of a second before and after
-        it, or in the next ones where these are farther. Where one of them is missing, a line holds near the picture's
-        time; where both are, the corner is used at its picture's time alone.
+        it, or in the adjacent ones where these are farther away. With one of them missing it is a line, used near the
+        picture's time alone; with both missing, the corner is used at its picture's time alone.
         """
         nearest = nearest_of(self.times, times)
         here = self.corners[nearest]

@@ -10,13 +10,13 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from streamlod.core.arrays import Float64, UInt8
 from streamlod.core.data import caliscope, open_dataset
-from streamlod.core.data.dataset import Source
 from streamlod.core.data.files import read_text
 from streamlod.core.data.names import files_in
 from streamlod.core.data.sources import shown
@@ -44,6 +44,11 @@ class WalkFootage:
     pictures: Callable[[], Iterator[UInt8 | None]]
     file: Path | None = None
     sound: Path | None = None
+
+    @property
+    def period(self) -> float:
+        """Median seconds between pictures; 1 of a single one."""
+        return float(np.median(np.diff(self.times))) if len(self.times) > 1 else 1.0
 
 
 def open_walk(path: Path) -> tuple[WalkFootage, ...]:
@@ -79,15 +84,12 @@ def _videos(path: Path, files: list[Path]) -> Iterator[WalkFootage]:
                 raise InputError(table, f"has {count} times of {file.name}, which holds {len(times)} pictures")
             times = known
         sound = None if stated is not None or info.one_clock else file
-        yield WalkFootage(file.stem, (info.width, info.height), times, _decoded(file, info), file, sound)
+        yield WalkFootage(file.stem, (info.width, info.height), times, partial(_decoded, file, info), file, sound)
 
 
-def _decoded(file: Path, info: VideoInfo) -> Callable[[], Iterator[UInt8 | None]]:
-    def pictures() -> Iterator[UInt8 | None]:
-        with closing(read_video(file)) as timed:
-            yield from shown(file, timed, info.times_ns)
-
-    return pictures
+def _decoded(file: Path, info: VideoInfo) -> Iterator[UInt8 | None]:
+    with closing(read_video(file)) as timed:
+        yield from shown(file, timed, info.times_ns)
 
 
 def _stated_times(table: Path) -> dict[str, Float64]:
@@ -109,8 +111,5 @@ def _recording(path: Path) -> Iterator[WalkFootage]:
     source = recording.source
     times = np.array([source.time_ns(index) for index in range(source.frame_count)], np.float64) / 1e9
     for row, camera in enumerate(recording.cameras):
-        yield WalkFootage(camera.name, (camera.width, camera.height), times, _of_source(source, row))
-
-
-def _of_source(source: Source, row: int) -> Callable[[], Iterator[UInt8 | None]]:
-    return lambda: source.pictures(row, 0, source.frame_count)
+        pictures = partial(source.pictures, row, 0, source.frame_count)
+        yield WalkFootage(camera.name, (camera.width, camera.height), times, pictures)

@@ -56,7 +56,7 @@ def find_floor(cameras: Float64, boards: Float64, times: Float64, centre: Float6
 
 def axes_of(cameras: Float64, up: Float64, origin: Float64) -> Float64:
     """[6] from the axes of cameras [C,6] to those of a world with this origin [3]: z up, y away from the cameras."""
-    ahead = -_centres(cameras).mean(axis=0) + origin
+    ahead = -rigid.inverse(cameras)[:, 3:].mean(axis=0) + origin
     ahead = ahead - up * (ahead @ up)
     if np.linalg.norm(ahead) < 1e-3:
         ahead = np.cross(up, [1.0, 0, 0]) if abs(up[0]) < 0.9 else np.cross(up, [0, 1.0, 0])
@@ -81,7 +81,3 @@ def up_of(cameras: Float64) -> Float64:
     votes = np.sign(ups @ up)[np.abs(ups @ up) > 0.5]
     sign = float(votes.sum()) or float(up @ first)
     return np.asarray(up / np.linalg.norm(up) * (1.0 if sign >= 0 else -1.0), np.float64)
-
-
-def _centres(cameras: Float64) -> Float64:
-    return rigid.inverse(cameras)[:, 3:]

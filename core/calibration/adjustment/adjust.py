@@ -69,7 +69,7 @@ class Adjusted:
 
     Attributes:
         scene: the best one.
-        misses: [N,2] pixels of each observation, what uneven times explain left out.
+        misses: [N,2] reprojection errors in pixels, less the part that uneven times explain.
         errors: [C,2] standard errors of the cameras' directions and places in the rig, radians and metres.
     """
 
@@ -176,12 +176,12 @@ def _scene(values: Float64, count: int) -> AdjustedRig:
 class _OnCurves:
     """Corners on the cameras' curves, N of them.
 
-    A curve gives the corner in a picture taken t seconds after the nearest one. The corner itself is captured
-    readouts . place later than the picture's middle, so the t is wanted at which both add up to the time since.
+    A curve gives the corner in a picture taken t seconds after the nearest one. A rolling shutter captures the corner
+    readouts . place later than the picture's middle; t is such that both add up to `since`.
 
     Attributes:
         at: [N,2] pixels. speed: [N,2] pixels a second.
-        noise: [N,1] their noise, as a part of that in a picture. growth: [N,1] of it, a second.
+        noise: [N,1] noise relative to that in a picture. growth: [N,1] its derivative by t.
         by_clock: [N,3] derivatives of t by the camera's offset and readouts.
     """
 
@@ -205,16 +205,17 @@ def _on_curves(scene: AdjustedRig, seen: Observations) -> _OnCurves:
 
 
 def misses_of(scene: AdjustedRig, seen: Observations) -> Float64:
-    """[N,2] pixels by which the scene's projections miss the corners, in parts of the corners' noise on their curves.
+    """[N,2] reprojection errors in pixels, each divided by the relative noise of its corner's curve.
 
-    Between pictures a curve has less noise than at them. Were that left out, clocks would drift to where it has least.
+    Between pictures a curve has less noise than at them. Without the division, clocks would drift to where it is least.
     """
     curves = _on_curves(scene, seen)
     return (projected(scene.lenses[seen.camera], _turned(scene, seen)[1])[0] - curves.at) / curves.noise
 
 
 def _turned(scene: AdjustedRig, seen: Observations) -> tuple[tuple[Float64, Float64], Float64]:
-    """Points turned by their boards, and then by their cameras, [N,3] each; and points in camera axes [N,3]."""
+    """Points rotated by their boards, these in the world rotated by their cameras, [N,3] each; and points in camera
+    axes [N,3]."""
     by_board = np.einsum("nij,nj->ni", rigid.rotations(scene.boards[:, :3])[seen.instant], seen.point)
     world = by_board + scene.boards[seen.instant, 3:]
     by_camera = np.einsum("nij,nj->ni", rigid.rotations(scene.cameras[:, :3])[seen.camera], world)

@@ -1,8 +1,8 @@
 """Linear bounds on the values of a search, each step of which stays within them.
 
 The step of least cost within bounds is a least distance, found as non-negative least squares (Lawson and Hanson,
-Solving least squares problems, 1974, section 23.4). Large residuals beyond a bound instead make a search zigzag before
-it: inside, nothing tells of them.
+Solving least squares problems, 1974, section 23.4). Penalties beyond a bound would make a search zigzag in front of it,
+as they have no slope inside.
 """
 
 from __future__ import annotations

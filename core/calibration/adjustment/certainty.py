@@ -1,8 +1,8 @@
-"""How certain cameras are: what noise would move them by, and what parts of the walk by themselves do.
+"""Standard errors of camera poses: from the noise of corners, and from leaving out parts of the walk.
 
-Noise of corners says the least that poses are uncertain by. What pictures near in time share (blur, a bent board,
-errors of curves between pictures) shows in how far the minimum would move without them: the jackknife with groups left
-out (Shao and Tu, The jackknife and bootstrap, 1995, section 9.2), by one step of Newton's method each.
+The noise of corners gives a lower bound. Errors that pictures near in time share (blur, a bent board, curves between
+pictures) show in how far the minimum moves without these pictures: the jackknife with groups left out (Shao and Tu, The
+jackknife and bootstrap, 1995, section 9.2), by one step of Newton's method each.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _LEFT_OUT = 0.9  # of a part's weight: what one part alone tells stays determine
 def standard_errors(
     cameras: Float64, minimum: Minimum, deviation: float, poses: Callable[[Float64], Float64]
 ) -> Float64:
-    """[C,2] radians and metres that directions and places in the rig are uncertain by; infinite where undetermined.
+    """[C,2] standard errors of directions and places in the rig, radians and metres; infinite where undetermined.
 
     Args:
         cameras: [C,6] world to camera.
@@ -63,10 +63,8 @@ def _part_moves(minimum: Minimum) -> Float64:
 
 
 def _sizes_in_rig(cameras: Float64, moves: Float64) -> Float64:
-    """[C,2] radians and metres that cameras turn and move by in the rig, whose mean direction and place stay.
-
-    Moves [M,C,6] of cameras [C,6] are given, the sum of whose squares counts.
-    """
+    """[C,2] root of the sum of squares of `moves` [M,C,6] of `cameras` [C,6], as turns in radians and shifts in metres,
+    both relative to the rig's mean."""
     turns = rigid.rotations(cameras[:, :3])
     centres = -np.einsum("cji,cj->ci", turns, cameras[:, 3:])
     spun = np.einsum("cij,mcj->mci", rigid.left_jacobians(cameras[:, :3]), moves[:, :, :3])

@@ -10,7 +10,7 @@ import numpy as np
 from streamlod.core.arrays import Bool, Float64, Int64
 from streamlod.core.calibration.track import Track
 
-_CORNER = 0.2  # pixels that corners in pictures are off
+_CORNER = 0.2  # pixels, standard error of a corner in a picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,8 +23,8 @@ class Observations:
         value, slope, bend, neighbours: [N,2] the camera's curve of the corner, see `track.CornerCurve`.
         extent: [N,2] width and height of the camera's picture.
         since: [N] seconds from the curve's picture to the instant, by the common time.
-        doubt: [N] times as much as a corner in a picture errs, one on its curve may err because the board does not move
-            along parabolas.
+        doubt: [N] standard error of the corner on its curve as a multiple of that in a picture: more than 1, as boards
+            do not move along parabolas.
     """
 
     camera: Int64
@@ -39,7 +39,7 @@ class Observations:
     doubt: Float64
 
     def kept(self, rows: Bool) -> Observations:
-        """The part of a problem whose rows the mask `rows` [N] names."""
+        """The observations that the mask `rows` [N] names."""
         return Observations(*(getattr(self, name)[rows] for name in self.__slots__))
 
 
@@ -59,10 +59,10 @@ def observed(tracks: Sequence[Track], times: Float64, offsets: Float64, board: F
 
 
 def curve_noise(t: Float64, neighbours: Float64) -> tuple[Float64, Float64]:
-    """[N,1] noise of corners on their curves, in parts of the noise in a picture; and [N,1] its growth, a second.
+    """[N,1] noise of corners on their curves relative to that in a picture, and [N,1] its derivative by t.
 
-    By Lagrange's formula a curve is the sum of three pictures' corners, whose weights depend on t. Beyond these
-    pictures the noise counts as one picture's.
+    By Lagrange's formula a curve is a weighted sum of the corners in three pictures, whose weights depend on t. Outside
+    these pictures' times the noise counts as that of one picture.
 
     Args:
         t: [N] seconds from the nearest picture. neighbours: [N,2] of the curves, see `Observations`.

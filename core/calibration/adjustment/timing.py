@@ -1,8 +1,8 @@
 """Times of pictures that are not quite those stated: phones and browsers stamp unevenly.
 
-Such an error moves all corners of a picture along their paths, so that they do not err independently: a picture that
-is 5 milliseconds late counts like two dozen corners that agree on a wrong lens. So the part of the misses that lies
-along the corners' motion counts as little as the times are uneven, picture by picture.
+Such an error moves all corners of a picture along their paths, so that their errors are correlated: a picture that is 5
+milliseconds late counts like two dozen corners that agree on a wrong lens. So in each picture the part of the misses
+along the corners' motion is weighted down, the more so the more uneven the camera's times are.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ class PictureWeights:
     """Weights of misses, of which those of one picture along its corners' motion are correlated.
 
     Attributes:
-        motion: [2N,Q] the motion in each of Q pictures, of length one.
-        left_out: [Q] part of the misses along it that is left out, so that what is left has the others' scatter.
+        motion: [2N,Q] for each of Q pictures its corners' motion, as a unit vector.
+        left_out: [Q] part of the misses along the motion that is removed, so that the rest scatters as across it.
     """
 
     motion: csr_matrix
     left_out: Float64
 
     def of_misses(self, misses: Float64) -> Float64:
-        """[N,2] misses [N,2] whose scatter is alike in all directions."""
+        """[N,2] misses [N,2] weighted so that they scatter alike in all directions."""
         flat = misses.ravel()
         return np.asarray(flat - self.motion @ (self.left_out * (self.motion.T @ flat)), np.float64).reshape(-1, 2)
 
@@ -58,8 +58,8 @@ class UnevenTimes:
 
 
 def uneven_times(seen: Observations, misses: Float64, cameras: int) -> UnevenTimes:
-    """How uneven the times of so many cameras are, by how much more is missed [N,2] along the corners' motion than
-    across it: whatever else a picture's corners share shows in both."""
+    """How uneven the times of that many `cameras` are: by how much the misses [N,2] along the corners' motion exceed
+    those across it, in both of which other errors that a picture's corners share appear."""
     of_picture, of_row, speeds = _pictures(seen)
     safe = np.maximum(speeds, 1e-9)
     along = np.bincount(of_row, (seen.slope * misses).sum(axis=1)) / safe

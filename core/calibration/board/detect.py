@@ -13,14 +13,12 @@ from streamlod.core.calibration.board.description import Board
 _MIN_CORNERS = 4
 _SMALL_PICTURE = 1000  # pixels of the longer side below which markers are looked for at twice the size
 _SMALL_SQUARES = (40.0, 15.0)  # pixels of a side below which a board is looked at two and three times larger
-_FAINT = (
-    3  # grey levels by which a marker's edge must be darker than what surrounds it; the usual 7 lose boards in haze
-)
+_FAINT = 3  # grey levels by which a marker's edge is darker than what surrounds it; OpenCV's 7 lose boards in haze
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardSighting:
-    """Finds in one picture.
+    """The corners and markers found in one picture.
 
     Attributes:
         corners: [J,2] pixels of the board's inner corners, NaN where not seen.
@@ -55,7 +53,7 @@ class Detector:
         self._corners = cv2.aruco.CharucoDetector(form, missed, faint)
 
     def __call__(self, picture: UInt8) -> BoardSighting:
-        """Finds in a picture [H,W,3] RGB or [H,W]."""
+        """The corners and markers in a picture [H,W,3] RGB or [H,W]."""
         grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) if picture.ndim == 3 else picture, np.uint8)
         if self.board.inverted:
             grey = 255 - grey

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
@@ -26,27 +25,19 @@ _RARELY = 0.3  # part of the pictures with the board below which they may be mir
 _DOUBLED = 0.1  # part of the pictures in which a marker may be seen twice, by a mirror or a misreading
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Sample:
-    """Pictures of one camera, a few from all of its time."""
-
-    camera: str
-    pictures: Sequence[UInt8]
-
-
 def board_as_seen(footage: Sequence[WalkFootage], board: Board) -> Board:
     """The board as described where the pictures show it, else the variant (inverted, legacy) that most of them show.
 
     Raises:
         InputError: no camera sees it, for a reason that is named where it can be found.
     """
-    samples = [_Sample(each.camera, tuple(_sampled(each))) for each in footage]
-    if _corners(samples, board) >= MIN_CORNERS * len(samples):
+    pictures = [picture for each in footage for picture in _sampled(each)]
+    if _corners(pictures, board) >= MIN_CORNERS * len(footage):
         return board
-    counts = {variant: _corners(samples, variant) for variant in variants(board)}
+    counts = {variant: _corners(pictures, variant) for variant in variants(board)}
     best = max(counts, key=counts.__getitem__)
     if counts[best] < MIN_CORNERS:
-        raise InputError("board", _why_unseen(samples, board))
+        raise InputError("board", _why_unseen(pictures, board))
     if best != board:
         _log.warning("the board is taken as inverted = %s, legacy_pattern = %s", best.inverted, best.legacy)
     return best
@@ -79,9 +70,11 @@ def track_of(footage: WalkFootage, board: Board, on_picture: Callable[[], object
     track = Track(footage.camera, footage.size, footage.times[rows], np.reshape(corners, shape).astype(np.float64))
     seen = track.seen >= MIN_CORNERS
     if seen.sum() < max(_FEW, _RARELY * len(rows)):
-        sample = [_Sample(footage.camera, tuple(_sampled(footage)))]
-        if seen.sum() < _FEW or _corners(sample, board, mirrored=True) > _corners(sample, board):
-            raise InputError(f"camera {footage.camera}", _why_rarely(sample, board))
+        pictures = list(_sampled(footage))
+        if seen.sum() < _FEW or _corners(pictures, board, mirrored=True) > _corners(pictures, board):
+            fault = _why_mirrored_or_far(pictures, board, _markers(pictures, board))
+            fault = fault or "hardly sees the board; walk longer, facing it, nearer to it and slower, with more light"
+            raise InputError(f"camera {footage.camera}", fault)
     return track
 
 
@@ -106,28 +99,27 @@ def _check_one_board(camera: str, board: Board, count: int, doubled: int, foreig
 
 
 def _sampled(footage: WalkFootage) -> Iterable[UInt8]:
+    """A few pictures from all of a camera's time."""
     step = max(1, len(footage.times) // _SAMPLES)
     return (picture for picture in islice(footage.pictures(), 0, None, step) if picture is not None)
 
 
-def _corners(samples: Sequence[_Sample], board: Board, *, mirrored: bool = False) -> int:
+def _corners(pictures: Sequence[UInt8], board: Board, *, mirrored: bool = False) -> int:
+    """Corners of the board in all pictures together."""
     detect = Detector(board)
-    pictures = (np.ascontiguousarray(p[:, ::-1]) if mirrored else p for each in samples for p in each.pictures)
-    return sum(detect(picture).count for picture in pictures)
+    return sum(detect(np.ascontiguousarray(each[:, ::-1]) if mirrored else each).count for each in pictures)
 
 
-def _why_rarely(samples: Sequence[_Sample], board: Board) -> str:
-    """One sentence about a camera that hardly sees the board."""
-    return (
-        _why_mirrored_or_far(samples, board, _markers(samples, board))
-        or "hardly sees the board; walk longer, facing it, nearer to it and slower, with more light"
-    )
+def _markers(pictures: Sequence[UInt8], board: Board) -> list[list[int]]:
+    """The markers that are read in each picture."""
+    detect = Detector(board)
+    return [detect(picture).markers.tolist() for picture in pictures]
 
 
-def _why_unseen(samples: Sequence[_Sample], board: Board) -> str:
+def _why_unseen(pictures: Sequence[UInt8], board: Board) -> str:
     """One sentence about a board that no camera shows as described."""
-    at_once = _markers(samples, board)
-    if reason := _why_mirrored_or_far(samples, board, at_once):
+    at_once = _markers(pictures, board)
+    if reason := _why_mirrored_or_far(pictures, board, at_once):
         return reason
     markers = [marker for seen in at_once for marker in seen]
     if len(markers) < 2 * _FEW:
@@ -137,7 +129,7 @@ def _why_unseen(samples: Sequence[_Sample], board: Board) -> str:
         )
     turned = Board(board.rows, board.columns, board.square_m, board.marker_ratio, board.dictionary, board.inverted)
     other = board.columns != board.rows and max(markers) >= 0.75 * board.marker_count
-    if other and _corners(samples, turned) >= MIN_CORNERS:
+    if other and _corners(pictures, turned) >= MIN_CORNERS:
         return f"has {board.rows}x{board.columns} squares, not {board.columns}x{board.rows}; exchange columns and rows"
     return (
         f"its markers are seen (0 to {max(markers)}), but do not lie as on a board of "
@@ -145,13 +137,13 @@ def _why_unseen(samples: Sequence[_Sample], board: Board) -> str:
     )
 
 
-def _why_mirrored_or_far(samples: Sequence[_Sample], board: Board, at_once: Sequence[Sequence[int]]) -> str:
+def _why_mirrored_or_far(pictures: Sequence[UInt8], board: Board, at_once: Sequence[Sequence[int]]) -> str:
     """One sentence where the pictures show the board mirrored, or some of its markers alone; else nothing.
 
     Args:
         at_once: the markers that are read in each picture.
     """
-    if any(_corners(samples, variant, mirrored=True) >= MIN_CORNERS for variant in variants(board)[:2]):
+    if any(_corners(pictures, variant, mirrored=True) >= MIN_CORNERS for variant in variants(board)[:2]):
         return "its pictures show the board mirrored; switch the mirroring of the camera off, or print the board anew"
     markers = [marker for seen in at_once for marker in seen]
     most = max((len(set(seen)) for seen in at_once), default=0)
@@ -161,9 +153,3 @@ def _why_mirrored_or_far(samples: Sequence[_Sample], board: Board, at_once: Sequ
             "hold it nearer to the camera and slower, with more light"
         )
     return ""
-
-
-def _markers(samples: Sequence[_Sample], board: Board) -> list[list[int]]:
-    """The markers that are read in each picture."""
-    detect = Detector(board)
-    return [detect(picture).markers.tolist() for each in samples for picture in each.pictures]

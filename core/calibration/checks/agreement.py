@@ -1,52 +1,35 @@
 """Agreement of cameras about what they share, by their poses.
 
-Each two and three cameras that share features agree with each other or not. Whose pose does not hold is whom most
-disagree with, less those who agree. Two that agree say nothing against three that do not, as they are blind along their
-epipolar lines.
+Every two and three cameras that share features agree with each other or not. The pose that does not hold is that of the
+camera with the most disagreements, less its agreements. Two cameras that agree count nothing against three that do not,
+as two cannot see errors along their epipolar lines.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from streamlod.core.arrays import Float64
 from streamlod.core.calibration.checks.matches import PairMatches, residual
-from streamlod.core.calibration.checks.triples import triple_misses
+from streamlod.core.calibration.checks.triples import Agreement, agreements_of_three
 from streamlod.core.camera import Camera
 
 OFF = 3.0  # pixels at a width of 1000, beyond which poses do not hold
 
 
-@dataclass(frozen=True, slots=True)
-class Agreement:
-    """How well two or three cameras agree.
-
-    Attributes:
-        cameras: their numbers. miss: pixels at a width of 1000.
-        told: numbers of those for whom it speaks where it is small: of three, those that could not be turned unseen.
-    """
-
-    cameras: tuple[int, ...]
-    miss: float
-    told: tuple[int, ...]
-
-
 def agreements(pairs: Sequence[PairMatches], cameras: Sequence[Camera]) -> list[Agreement]:
     """The agreements of all two and three cameras that share enough."""
-    both = [(pair.first, pair.second) for pair in pairs]
-    twos = [
-        Agreement(two, residual(pair, *(cameras[number] for number in two)), two)
-        for two, pair in zip(both, pairs, strict=True)
-    ]
-    threes = [Agreement(each.cameras, each.miss, each.judged) for each in triple_misses(pairs, cameras)]
-    return twos + threes
+    twos = []
+    for pair in pairs:
+        two = pair.first, pair.second
+        twos.append(Agreement(two, residual(pair, cameras[pair.first], cameras[pair.second]), two))
+    return twos + agreements_of_three(pairs, cameras)
 
 
 def misses(agreed: Sequence[Agreement], count: int) -> Float64:
-    """[count] the best miss of each camera: by threes that tell of it, else by twos; NaN without."""
+    """[count] the smallest miss of each camera: among threes that judge it, else among twos; NaN without any."""
     best = np.full(count, np.nan)
     for number in range(count):
         found = [each for each in agreed if number in each.told]
@@ -68,7 +51,7 @@ def suspects(agreed: Sequence[Agreement], count: int) -> Iterator[list[int]]:
 
 
 def _scores(agreed: Sequence[Agreement], count: int) -> Float64:
-    """[count] how many disagree with a camera, less those who agree."""
+    """[count] disagreements of each camera, less its agreements."""
     against, for_it = np.zeros((4, count)), np.zeros((4, count))  # by how many they are
     for each in agreed:
         if each.miss > OFF:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 
@@ -19,16 +20,6 @@ class RigFinding:
     sentence: str
 
 
-def fault(sentence: str) -> RigFinding:
-    """A fault."""
-    return RigFinding("fault", sentence)
-
-
-def weak(sentence: str) -> RigFinding:
-    """A weakness."""
-    return RigFinding("weak", sentence)
-
-
-def fact(sentence: str) -> RigFinding:
-    """A fact."""
-    return RigFinding("fact", sentence)
+fault = partial(RigFinding, "fault")
+weak = partial(RigFinding, "weak")
+fact = partial(RigFinding, "fact")

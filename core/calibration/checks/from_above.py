@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from streamlod.core.arrays import Float64, Int64
 from streamlod.core.calibration.adjustment import rigid
 from streamlod.core.calibration.checks.coverage import Coverage, is_seen_by
 from streamlod.core.calibration.world import axes_of, up_of
@@ -44,7 +43,8 @@ def drawn_from_above(coverage: Coverage, cameras: Sequence[Camera]) -> str:
     counts = np.sum([is_seen_by(camera, places) for camera in cameras], axis=0).reshape(rows, columns)
     drawn = [[str(min(int(count), _MOST)) if count else "." for count in row] for row in counts]
     letters = [*_LETTERS[: len(cameras)], *_SEVERAL * (len(cameras) - len(_LETTERS))]
-    for letter, (column, row) in zip(letters, _cells(stand, low, high, wide), strict=True):
+    stands = np.floor(np.abs(stand - [low[0], high[1]]) / [wide, _TALL * wide]).astype(np.int64)
+    for letter, (column, row) in zip(letters, stands.tolist(), strict=True):
         drawn[row][column] = _SEVERAL if drawn[row][column] in {*letters, _SEVERAL} else letter
     names = ", ".join(f"{letter} {camera.name}" for letter, camera in zip(letters, cameras, strict=True))
     return "\n".join(
@@ -54,11 +54,3 @@ def drawn_from_above(coverage: Coverage, cameras: Sequence[Camera]) -> str:
             f"{names}; a letter is {wide:.2g} wide and {_TALL * wide:.2g} deep, in metres after a board walk",
         ]
     )
-
-
-def _cells(stand: Float64, low: Float64, high: Float64, wide: float) -> list[tuple[int, int]]:
-    """(column, row) of each place [C,2]."""
-    across = (stand[:, 0] - low[0]) / wide
-    down = (high[1] - stand[:, 1]) / (_TALL * wide)
-    found: Int64 = np.floor(np.stack([across, down], axis=1)).astype(np.int64)
-    return [(int(column), int(row)) for column, row in found]

@@ -6,10 +6,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from streamlod.core.calibration.checks.agreement import OFF, Agreement, suspects
+from streamlod.core.calibration.checks.agreement import OFF, suspects
 from streamlod.core.calibration.checks.exchange import Order, orders
 from streamlod.core.calibration.checks.finding import RigFinding, fact, fault, weak
 from streamlod.core.calibration.checks.matches import PairMatches
+from streamlod.core.calibration.checks.triples import Agreement
 from streamlod.core.data.lens import Undistortion
 from streamlod.core.data.names import listed, spoken
 

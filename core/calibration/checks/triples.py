@@ -1,9 +1,9 @@
 """Points that three cameras see, against the poses: a camera that was turned along its own epipolar lines.
 
-Two views agree with any point on an epipolar line, three with one point alone. For each three cameras, what is left
-when each point lies where it explains its three pictures best says whether their poses go together; how much of a turn
-of each camera would be left tells which of the three it can judge (where two others stand side by side, they hardly
-know where a third sees a point).
+Two views agree with any point on an epipolar line, three with one point alone. For each three cameras, the reprojection
+error that is left after triangulation shows whether their poses agree. The part of a camera's turn that would be left
+in it shows whether it can judge that camera (where the two others stand side by side, they hardly know where the third
+sees a point).
 """
 
 from __future__ import annotations
@@ -26,27 +26,21 @@ _HELD = 1e-9  # holds points that cameras at one place leave open
 
 
 @dataclass(frozen=True, slots=True)
-class TripleMiss:
-    """Three cameras and how far they miss the points that all see.
+class Agreement:
+    """How well two or three cameras agree.
 
     Attributes:
-        cameras: numbers of the three.
-        miss: median over the points of what is left, in pixels at a picture width of 1000.
-        told: for each camera, the part of a displacement of its picture that is left, whichever its direction, 0 to 1.
+        cameras: their numbers. miss: pixels at a width of 1000.
+        told: numbers of the cameras whose poses a small miss confirms: of three, those whose turn would show in it.
     """
 
-    cameras: tuple[int, int, int]
+    cameras: tuple[int, ...]
     miss: float
-    told: tuple[float, float, float]
-
-    @property
-    def judged(self) -> tuple[int, ...]:
-        """The numbers of the cameras whose turn would be left."""
-        return tuple(camera for camera, part in zip(self.cameras, self.told, strict=True) if part >= _TELLS)
+    told: tuple[int, ...]
 
 
-def triple_misses(pairs: Sequence[PairMatches], cameras: Sequence[Camera]) -> list[TripleMiss]:
-    """The misses of all three cameras with enough points in common."""
+def agreements_of_three(pairs: Sequence[PairMatches], cameras: Sequence[Camera]) -> list[Agreement]:
+    """The agreements of all three cameras with enough points in common."""
     by_pair = {(pair.first, pair.second): pair for pair in pairs}
     centres = np.array([camera.centre for camera in cameras])
     middle = centres.mean(axis=0)
@@ -58,7 +52,8 @@ def triple_misses(pairs: Sequence[PairMatches], cameras: Sequence[Camera]) -> li
         if len(points) >= MIN_POINTS:
             chosen = points[np.linspace(0, len(points) - 1, min(len(points), _MAX_POINTS)).astype(int)]
             scales = np.array([1000 / cameras[number].width for number in three])
-            found.append(TripleMiss(three, *_left(views[list(three)], chosen * scales[:, None])))
+            miss, told = _left(views[list(three)], chosen * scales[:, None])
+            found.append(Agreement(three, miss, tuple(np.array(three)[told >= _TELLS].tolist())))
     return found
 
 
@@ -94,8 +89,9 @@ def _linked(by_pair: dict[tuple[int, int], PairMatches], hub: int, end: int) -> 
     return pair.features[:, order], pair.points[:, order]
 
 
-def _left(views: Float64, pixels: Float64) -> tuple[float, tuple[float, float, float]]:
-    """The miss of points [N,3,2] by three projections [3,3,4], and the part of a turn that would be left.
+def _left(views: Float64, pixels: Float64) -> tuple[float, Float64]:
+    """The median miss of points [N,3,2] by three projections [3,3,4]; and [3] for each camera the part of a
+    displacement of its picture that would be left, whichever its direction, 0 to 1.
 
     Points are homogeneous of length one, so that those far away, and those that only lines behind the cameras
     explain, are as good as others.
@@ -115,8 +111,7 @@ def _left(views: Float64, pixels: Float64) -> tuple[float, tuple[float, float, f
     kept = np.eye(6) - across @ np.swapaxes(across, 1, 2)
     blocks = np.stack([kept[:, 2 * n : 2 * n + 2, 2 * n : 2 * n + 2] for n in range(3)], axis=1)
     told = np.sqrt(np.maximum(0, np.median(np.linalg.eigvalsh(blocks)[..., 0], axis=0)))
-    miss = float(np.median(np.linalg.norm(misses, axis=1)))
-    return miss, (float(told[0]), float(told[1]), float(told[2]))
+    return float(np.median(np.linalg.norm(misses, axis=1))), np.asarray(told, np.float64)
 
 
 def _misses(views: Float64, pixels: Float64, points: Float64) -> tuple[Float64, Float64]:

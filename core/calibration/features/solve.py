@@ -1,7 +1,7 @@
 """From pictures of several instants to calibrated cameras.
 
 A camera that stands still is one image, whose features are those of all instants; of two cameras, only features of one
-instant are compared. So what moves tells as much as what stands, and more than one still picture a camera would.
+instant are compared. So moving things give features as still ones do, and more than one picture a camera would.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from streamlod.core.arrays import Float64
 from streamlod.core.calibration.adjustment import rigid
 from streamlod.core.calibration.checks.matches import Features
-from streamlod.core.calibration.features.mapping import MappedCamera, mapped
+from streamlod.core.calibration.features.mapping import mapped
 from streamlod.core.calibration.trust import check_lens
 from streamlod.core.calibration.walk import WalkFootage
 from streamlod.core.calibration.world import axes_of, up_of
@@ -91,11 +91,13 @@ def calibrate_by_features(
     poses = np.array([camera.pose for camera in found])
     to_world = _to_world(poses, points)
     placed = rigid.after(poses, rigid.inverse(to_world))
-    times = [np.diff(each.times) for each in footage]
     rig = FeatureCalibration(
-        tuple(_camera(each, camera, pose) for each, camera, pose in zip(footage, found, placed, strict=True)),
+        tuple(
+            opencv_camera(each.camera, camera.matrix, rigid.matrix(pose), each.size, camera.distortion)
+            for each, camera, pose in zip(footage, found, placed, strict=True)
+        ),
         offsets,
-        np.array([float(np.median(each)) if len(each) else 1.0 for each in times]),
+        np.array([each.period for each in footage]),
         points @ rigid.rotations(to_world[:3])[0].T + to_world[3:],
         tuple(camera.count for camera in found),
         np.array([camera.miss for camera in found]),
@@ -111,7 +113,3 @@ def _to_world(cameras: Float64, points: Float64) -> Float64:
     up, middle = up_of(cameras), np.median(points, axis=0)
     lowest = float(np.quantile(points @ up, _LOWEST))
     return axes_of(cameras, up, middle + up * (lowest - middle @ up))
-
-
-def _camera(footage: WalkFootage, found: MappedCamera, pose: Float64) -> Camera:
-    return opencv_camera(footage.camera, found.matrix, rigid.matrix(pose), footage.size, found.distortion)

@@ -43,8 +43,8 @@ def heard_later(first: Float64, second: Float64, reach: float) -> float | None:
 
 
 def heard_offsets(rising: Sequence[Float64], reach: float) -> Float64:
-    """[C] seconds that lead from each clock to that of the first of those who heard the same, of several such groups
-    the largest; NaN for others, and for all where no two heard the same.
+    """[C] seconds to add to each clock to get that of the first in the largest group of microphones that heard the
+    same; NaN for those outside it, and for all where no two heard the same.
 
     Args:
         rising: of each, `rises` on its own clock, beginning at 0; empty without sound.

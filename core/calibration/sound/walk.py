@@ -21,22 +21,21 @@ _BY_HAND = 1000  # milliseconds at both ends of a video, in which a hand touches
 
 
 def walk_offsets(footage: Sequence[WalkFootage]) -> Float64:
-    """[C] seconds that lead from each camera's clock to that of one of them, by what both heard; NaN where that does
-    not tell."""
+    """[C] seconds to add to each camera's clock to get that of one of them, by what both heard; NaN where unknown."""
     return heard_offsets([_rises(each) for each in footage], REACH_S)
 
 
 def unlike_clocks(footage: Sequence[WalkFootage], heard: Float64) -> Float64:
-    """[C] seconds to add to each camera's clock by sound alone; 0 where it does not tell, and for all where the clocks
-    agree by it, as they may do so exactly.
+    """[C] seconds to add to each camera's clock by sound alone; 0 where they are unknown, and for all where the clocks
+    agree to half a period, as these may agree exactly.
 
     Args:
         heard: [C] of `walk_offsets`.
     """
     known = heard[np.isfinite(heard)]
     offsets = np.nan_to_num(heard - median_low(known)) if len(known) else np.zeros(len(heard))
-    periods = [float(np.median(np.diff(each.times))) if len(each.times) > 1 else 1.0 for each in footage]
-    return np.where((np.abs(offsets) <= min(periods) / 2 + WAY).all(), 0.0, offsets)
+    period = min(each.period for each in footage)
+    return np.where((np.abs(offsets) <= period / 2 + WAY).all(), 0.0, offsets)
 
 
 def _rises(footage: WalkFootage) -> Float64:
