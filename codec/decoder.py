@@ -17,7 +17,7 @@ from streamlod.codec.packet.limits import DEFAULT_LIMITS, DecoderLimits, Room
 from streamlod.codec.packet.packet import METADATA, ChunkKind, Packet, PacketKind
 from streamlod.core.arrays import Int32, Int64
 from streamlod.core.errors import BitstreamError
-from streamlod.core.scene.anchors import LATENTS, AnchorLevel, Scene, empty_level
+from streamlod.core.scene.anchors import LATENTS, AnchorLevel, Scene, SceneHeader, empty_level
 from streamlod.core.scene.residual import LevelResidual, apply_level
 
 ABSENT = -1
@@ -59,8 +59,8 @@ class SceneDecoder:
     def _decode_key(self, packet: Packet) -> tuple[Scene, tuple[int, ...]]:
         scene, versions = self._key_scene(packet)
         levels, changed = list(scene.levels), list(versions)
-        for number in packet.levels:
-            levels[number] = empty_level(len(scene.header.feature_steps), scene.header.gaussians_per_anchor)
+        for number in packet.levels:  # the rows that they had leave room for the new ones
+            levels[number] = _empty(scene.header)
         for number in packet.levels:
             levels[number] = _decode_key_level(packet, number, scene, self._room(packet, number, levels))
             changed[number] = packet.keyframe
@@ -70,15 +70,13 @@ class SceneDecoder:
         """The scene that the key packet's levels go into."""
         header_data, weights_data = packet.chunk(0, ChunkKind.HEADER), packet.chunk(0, ChunkKind.WEIGHTS)
         if header_data is None or weights_data is None:
-            scene = self._held(packet)
-            return scene, self.versions
+            return self._held(packet), self.versions
         header = decode_header(header_data, self._limits)
         weights = decode_weights(weights_data, header)
         count = header.octree.levels
         _check_levels(packet, count)
-        level = empty_level(len(header.feature_steps), header.gaussians_per_anchor)
-        facts = decode_metadata(packet.chunk(0, METADATA) or b"")
-        scene = Scene(header, weights, (level,) * count, packet.keyframe, packet.keyframe, packet.identifier, facts)
+        levels, facts = (_empty(header),) * count, decode_metadata(packet.chunk(0, METADATA) or b"")
+        scene = Scene(header, weights, levels, packet.keyframe, packet.keyframe, packet.identifier, facts)
         return scene, (ABSENT,) * count
 
     def _room(self, packet: Packet, number: int, levels: list[AnchorLevel]) -> Room:
@@ -115,6 +113,10 @@ class SceneDecoder:
         return replace(scene, levels=tuple(levels), version=max(versions)), tuple(versions)
 
 
+def _empty(header: SceneHeader) -> AnchorLevel:
+    return empty_level(len(header.feature_steps), header.gaussians_per_anchor)
+
+
 def _check_levels(packet: Packet, count: int) -> None:
     if packet.level_mask >> count:
         raise BitstreamError("bad_scene_header", f"level mask {packet.level_mask:#x} goes beyond {count} levels")
@@ -122,7 +124,7 @@ def _check_levels(packet: Packet, count: int) -> None:
 
 def _decode_key_level(packet: Packet, number: int, scene: Scene, room: Room) -> AnchorLevel:
     geometry, base = packet.chunk(number, ChunkKind.GEOMETRY), packet.chunk(number, ChunkKind.BASE)
-    level = empty_level(len(scene.header.feature_steps), scene.header.gaussians_per_anchor)
+    level = _empty(scene.header)
     if geometry is not None and base is not None:
         voxel = chunks.decode_geometry(geometry, packet.profile, room)
         level = chunks.decode_base(base, packet.profile, scene.header, voxel, room)
@@ -136,7 +138,7 @@ def _decode_residual_level(packet: Packet, number: int, scene: Scene, room: Room
     removed = rows
     position: Int32 = np.zeros((0, 3), np.int32)
     latent: Int32 = np.zeros((0, LATENTS), np.int32)
-    added = empty_level(len(header.feature_steps), header.gaussians_per_anchor)
+    added = _empty(header)
     if (data := packet.chunk(number, ChunkKind.CHANGE)) is not None:
         elapsed = Elapsed(packet.from_version - packet.keyframe, packet.to_version - packet.from_version)
         rows, position, latent = chunks.decode_change(data, packet.profile, before, elapsed, room)

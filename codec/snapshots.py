@@ -21,15 +21,15 @@ class SnapshotFormat:
     Attributes:
         name: as users write it. suffix: of its files, with the dot.
         encode: the bytes of a cloud, with a comment of one line where the format has room for it.
-        decode: the cloud of a file; None where only writing is known. Both raise: ValueError on what the format cannot
-            hold, InputError on a file that cannot be read.
+        decode: the cloud of a file. Both raise: ValueError on what the format cannot hold, InputError on a file that
+            cannot be read.
         up: the axis of a file that `decode` makes the scene's up.
     """
 
     name: str
     suffix: str
     encode: Callable[[GaussianCloud, str], bytes]
-    decode: Callable[[Path], GaussianCloud] | None
+    decode: Callable[[Path], GaussianCloud]
     up: str
 
 
@@ -110,5 +110,4 @@ def check_slod_output(path: Path) -> None:
 
 def format_of(path: Path) -> SnapshotFormat | None:
     """The format that can read a file of this name; None where none can."""
-    known = (each for each in FORMATS.values() if each.decode is not None)
-    return next((each for each in known if path.name.lower().endswith(each.suffix)), None)
+    return next((each for each in FORMATS.values() if path.name.lower().endswith(each.suffix)), None)

@@ -116,9 +116,9 @@ def _check_existing(rows: int, columns: int, held: int, room: Room) -> None:
 def encode_added(level: AnchorLevel, profile: int) -> bytes:
     """The ADDED chunk."""
     matrix = added_matrix(level)
-    candidates = [plain.encode_plain(matrix)]
+    deflated = plain.encode_plain(matrix)
     coded = columns.encode(matrix, shifted_of(level, 3), with_count=True) if profile else None
-    return min([*candidates, coded] if coded is not None else candidates, key=len)
+    return deflated if coded is None else min(deflated, coded, key=len)
 
 
 def decode_added(data: bytes, profile: int, header: SceneHeader, room: Room) -> AnchorLevel:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from streamlod.codec.container.layout import FILE_HEAD, SIZE, Entry, entry_of, file_end, record
+from streamlod.codec.container.layout import FILE_HEAD, Entry, entries_of, file_end, record
 from streamlod.codec.container.reader import SlodReader
 from streamlod.codec.packet.info import PacketInfo
 
@@ -40,10 +40,7 @@ def joined(groups: Sequence[Path | Sequence[tuple[PacketInfo, bytes]]]) -> tuple
                 entries += [replace(entry, offset=entry.offset + shift) for entry in reader.entries]
                 pieces.append(FilePart(group, len(FILE_HEAD), reader.records_end - len(FILE_HEAD)))
         else:
-            offset = at
-            for info, data in group:
-                entries.append(entry_of(info, offset + SIZE.size))
-                offset += SIZE.size + len(data)
+            entries += entries_of((info for info, _ in group), at)
             pieces.append(b"".join(record(data) for _, data in group))
         at += size_of(pieces[-1])
     pieces.append(file_end(entries, at))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from streamlod.codec.packet.info import PacketInfo
@@ -74,6 +74,15 @@ def entry_of(info: PacketInfo, offset: int) -> Entry:
         info.level_mask,
         sum(info.level_bytes[:_COARSE_LEVELS]),
     )
+
+
+def entries_of(infos: Iterable[PacketInfo], at: int) -> list[Entry]:
+    """The entries of packets whose records lie one behind the other from byte `at` on."""
+    entries = []
+    for info in infos:
+        entries.append(entry_of(info, at + SIZE.size))
+        at += SIZE.size + info.size_bytes
+    return entries
 
 
 def is_packet_of(entry: Entry, packet: bytes) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 from streamlod.core.arrays import Float32, Float64, Int64
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import expand_slots, visible
-from streamlod.core.scene.gaussians import GaussianCloud, concatenate
+from streamlod.core.scene.gaussians import GaussianCloud, as_cloud, concatenate
 
 
 def bake(scene: Scene, viewpoints: Float64) -> GaussianCloud:
@@ -49,8 +49,7 @@ def _mean(views: list[GaussianCloud]) -> GaussianCloud:
     for view in views:
         turned = _unit(view.quaternions)
         total += np.where((turned * quaternions).sum(axis=1, keepdims=True) < 0, -turned, turned)
-    parts = (views[0].means, total, scales, opacities.mean(axis=0), np.asarray(colours))
-    return GaussianCloud(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))
+    return as_cloud(views[0].means, total, scales, opacities.mean(axis=0), np.asarray(colours))
 
 
 def _unit(quaternions: Float32) -> Float32:

@@ -20,8 +20,9 @@ from streamlod.codec.export.ply import unit_quaternions
 from streamlod.codec.export.upright import turned
 from streamlod.core.arrays import Float32, Float64, Int64
 from streamlod.core.errors import InputError
+from streamlod.core.files import read_bytes
 from streamlod.core.scene.anchors import Scene
-from streamlod.core.scene.gaussians import GaussianCloud, concatenate
+from streamlod.core.scene.gaussians import GaussianCloud, as_cloud, concatenate
 from streamlod.core.scene.metadata import Metadata
 
 MAX_BYTES = 1 << 30  # of a file that is read
@@ -55,15 +56,12 @@ def write_clip(
     Raises:
         InputError: no frame, no package, or numbers that the format cannot hold.
     """
-    fourdgs, spans, end = library(), [], 0.0
-    for cloud, begin, end in _spans(frames, viewpoints):
-        spans.append((cloud, np.full(len(cloud), begin), np.full(len(cloud), end)))
+    fourdgs, spans = library(), list(_spans(frames, viewpoints))
     if not spans:
         raise InputError(path, "there is nothing to write")
-    cloud = concatenate([span[0] for span in spans])
-    count = len(cloud)
-    times = (np.concatenate([span[1] for span in spans]), np.concatenate([span[2] for span in spans]))
-    gaussians = _set_of(cloud, *times)
+    clouds, begins, ends = zip(*spans, strict=True)
+    cloud, sizes, end = concatenate(list(clouds)), [len(each) for each in clouds], ends[-1]
+    gaussians = _set_of(cloud, np.repeat(begins, sizes), np.repeat(ends, sizes))
     try:
         if path.suffix == ".4dgs":
             about = {"coordinate_system": _SYSTEM, "color_space": _COLOURS, "title": facts.title or path.stem}
@@ -76,7 +74,7 @@ def write_clip(
             )  # fmt: skip
     except (fourdgs.FourdgsError, ImportError) as error:
         raise InputError(path, str(error)) from error
-    return count
+    return len(cloud)
 
 
 def encode_glb(cloud: GaussianCloud) -> bytes:
@@ -111,10 +109,11 @@ def decode_glb(path: Path) -> GaussianCloud:
 def _set_of(cloud: GaussianCloud, begins: Float64, ends: Float64) -> Any:
     """The package's own Gaussians, each shown from and to so many seconds."""
     count = len(cloud)
+    wxyz = unit_quaternions(cloud.quaternions) * np.append(np.float32(1), _AXES)
     return library().GaussianSet(
         positions=cloud.means * _AXES,
         scales=cloud.scales,
-        rotations=_xyzw(unit_quaternions(cloud.quaternions) * np.append(np.float32(1), _AXES)),
+        rotations=np.roll(wxyz, -1, axis=1),
         colors=np.concatenate([cloud.colours, cloud.opacities[:, None]], axis=1),
         motions=np.zeros((count, 3), np.float32),
         mu_t=np.zeros(count, np.float32),
@@ -128,8 +127,7 @@ def _cloud_of(every: Any, means: Float32, rotations: Float32, opacities: Float32
     """The package's Gaussians, placed anew, as ours."""
     wxyz = np.roll(rotations, 1, axis=1) * np.append(np.float32(1), axes)
     colours = np.clip(every.colors[:, :3], 0, 1)
-    parts = (means * axes, wxyz, every.scales, np.clip(opacities, 0, 1), colours)
-    return GaussianCloud(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))
+    return as_cloud(means * axes, wxyz, every.scales, np.clip(opacities, 0, 1), colours)
 
 
 def _spans(frames: Iterable[tuple[float, Scene]], viewpoints: Float64) -> Iterator[_Span]:
@@ -138,21 +136,21 @@ def _spans(frames: Iterable[tuple[float, Scene]], viewpoints: Float64) -> Iterat
     begins: list[Float64] = []
     now, last, step = 0.0, 0.0, 1.0
     for now, scene in frames:
-        step = now - last if before is not None else step
-        same = before is not None and (before.keyframe, before.identifier) == (scene.keyframe, scene.identifier)
-        for n in range(len(before.levels) if before is not None else 0):
-            assert before is not None
-            changed = _changed(before, scene, n) if same else np.flatnonzero(before.levels[n].alive)
-            yield from _shown(before, n, changed, begins[n], now, viewpoints)
-            begins[n][changed] = now
+        same = False
+        if before is not None:
+            step, same = now - last, (before.keyframe, before.identifier) == (scene.keyframe, scene.identifier)
+            for n, level in enumerate(before.levels):
+                changed = _changed(before, scene, n) if same else np.flatnonzero(level.alive)
+                yield from _shown(before, n, changed, begins[n], now, viewpoints)
+                begins[n][changed] = now
         begins = [
             np.concatenate([begins[n] if same else np.zeros(0), np.full(len(level), now)])[: len(level)]
             for n, level in enumerate(scene.levels)
         ]
         before, last = scene, now
-    for n in range(len(before.levels) if before is not None else 0):
-        assert before is not None
-        yield from _shown(before, n, np.flatnonzero(before.levels[n].alive), begins[n], now + step, viewpoints)
+    if before is not None:
+        for n, level in enumerate(before.levels):
+            yield from _shown(before, n, np.flatnonzero(level.alive), begins[n], now + step, viewpoints)
 
 
 def _changed(before: Scene, after: Scene, number: int) -> Int64:
@@ -181,11 +179,7 @@ def read_clip(path: Path, fps: float, up: str | None) -> Iterator[GaussianCloud]
     """
     fourdgs = library()
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise InputError(path, f"is larger than {MAX_BYTES} bytes")
-        clip = fourdgs.read(path.read_bytes(), recover_truncated=False)
-    except OSError as error:
-        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
+        clip = fourdgs.read(read_bytes(path, MAX_BYTES), recover_truncated=False)
     except (fourdgs.FourdgsError, ValueError) as error:
         raise InputError(path, f"is no .4dgs file that can be read: {error}") from error
     system = clip.header.attributes.get("coordinate_system", "")
@@ -200,7 +194,3 @@ def read_clip(path: Path, fps: float, up: str | None) -> Iterator[GaussianCloud]
         means[shown], rotations[shown] = state["centers"], state["orientations"]
         opacities[shown] = state["opacity"]
         yield turned(_cloud_of(every, means, rotations, opacities, np.ones(3, np.float32)), "-y", up)
-
-
-def _xyzw(quaternions: Float32) -> Float32:
-    return np.roll(quaternions, -1, axis=1)

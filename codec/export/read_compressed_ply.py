@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from streamlod.core.arrays import Float32, Int64
 from streamlod.core.errors import InputError
 from streamlod.core.initialise.ply_tables import Tables
-from streamlod.core.scene.gaussians import GaussianCloud
+from streamlod.core.scene.gaussians import GaussianCloud, as_cloud
 
 _CHUNK = 256  # Gaussians
 _WORDS = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
@@ -58,7 +58,7 @@ def unpacked(path: Path, tables: Tables) -> GaussianCloud:
             np.clip(_between(tables, _COLOUR, colours[:, :3]), 0, 1),
         )
     kept = np.logical_and.reduce([np.isfinite(part).reshape(len(part), -1).all(axis=1) for part in parts])
-    return GaussianCloud(*(np.ascontiguousarray(part[kept], dtype=np.float32) for part in parts))
+    return as_cloud(*(part[kept] for part in parts))
 
 
 def _names(table: NDArray[Any]) -> tuple[str, ...]:

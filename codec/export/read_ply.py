@@ -10,7 +10,7 @@ from streamlod.codec.export import read_compressed_ply
 from streamlod.codec.export.ply import SH_C0
 from streamlod.core.errors import InputError
 from streamlod.core.initialise.ply_tables import read_tables
-from streamlod.core.scene.gaussians import GaussianCloud
+from streamlod.core.scene.gaussians import GaussianCloud, as_cloud
 
 _NAMES = (
     *("x", "y", "z", "rot_0", "rot_1", "rot_2", "rot_3", "scale_0", "scale_1", "scale_2"),
@@ -39,11 +39,5 @@ def decode_ply(path: Path) -> GaussianCloud:
     columns[:, 7:11] = np.clip(columns[:, 7:11], -_MAX_LOG, _MAX_LOG)
     columns = columns[np.isfinite(columns).all(axis=1)]
     means, quaternions, scales, opacity, colours = np.split(columns, [3, 7, 10, 11], axis=1)
-    parts = (
-        means,
-        quaternions,
-        np.exp(scales),
-        1 / (1 + np.exp(-opacity[:, 0])),
-        np.clip(0.5 + SH_C0 * colours, 0, 1),
-    )
-    return GaussianCloud(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))
+    opacities = 1 / (1 + np.exp(-opacity[:, 0]))
+    return as_cloud(means, quaternions, np.exp(scales), opacities, np.clip(0.5 + SH_C0 * colours, 0, 1))

@@ -12,7 +12,8 @@ from streamlod.codec.export import spz4
 from streamlod.codec.export.ply import SH_C0
 from streamlod.core.arrays import Float32, UInt8
 from streamlod.core.errors import InputError
-from streamlod.core.scene.gaussians import GaussianCloud
+from streamlod.core.files import read_bytes
+from streamlod.core.scene.gaussians import GaussianCloud, as_cloud
 
 MAX_GAUSSIANS = 20_000_000
 _MAX_BYTES = 1 << 30  # of a file
@@ -29,12 +30,7 @@ def decode_spz(path: Path) -> GaussianCloud:
     Raises:
         InputError: the file cannot be read, is damaged, too large, or of another version.
     """
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise InputError(path, f"is larger than {_MAX_BYTES} bytes")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
+    data = read_bytes(path, _MAX_BYTES)
     if data.startswith(_MAGIC):
         version, count, bits = _announced(path, data, (4,))
         body = spz4.unpack(path, data, [count * size for size in _COLUMNS[version]])
@@ -77,14 +73,13 @@ def _cloud(body: UInt8, count: int, version: int, bits: int) -> GaussianCloud:
     means = (fixed - ((fixed & 0x800000) << 1)).astype(np.float64) / 2.0**bits
     quaternions = (_plain if version == 2 else _packed)(rotations.reshape(count, _COLUMNS[version][-1]))
     colour = (colours.reshape(count, 3) / 255.0 - 0.5) / 0.15 * SH_C0 + 0.5
-    parts = (
+    return as_cloud(
         means * _AXES,
         quaternions * np.append(np.float32(1), _AXES),
         np.exp(scales.reshape(count, 3) / 16.0 - 10.0),
         opacities / 255.0,
         np.clip(colour, 0, 1),
     )
-    return GaussianCloud(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))
 
 
 def _plain(rows: UInt8) -> Float32:

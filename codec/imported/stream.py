@@ -122,21 +122,17 @@ def _files(source: Path) -> list[Path]:
     """The file, or those of the folder in natural order."""
     if source.is_file() and format_of(source) is not None:
         return [source]
-    suffixes = [each.suffix for each in FORMATS.values() if each.decode is not None]
-    known = ", ".join(dict.fromkeys((*suffixes, *CLIP_SUFFIXES["4dgs"])))
+    known = ", ".join(dict.fromkeys((*(each.suffix for each in FORMATS.values()), *CLIP_SUFFIXES["4dgs"])))
     if not source.is_dir():
         other = "of other programs' files, splat-transform (npm) makes a .ply"
         raise InputError(source, f"is no file of Gaussians ({known}) and no folder of them; {other}")
-    files = sorted((path for path in source.iterdir() if _is_frame(path)), key=_natural)
+    visible = (path for path in source.iterdir() if path.is_file() and not path.name.startswith("."))
+    files = sorted((path for path in visible if format_of(path) is not None), key=_natural)
     if not files:
         raise InputError(source, f"holds no file of Gaussians ({known})")
     if len(files) > MAX_FILES:
         raise InputError(source, f"holds {len(files)} files, more than {MAX_FILES}")
     return files
-
-
-def _is_frame(path: Path) -> bool:
-    return path.is_file() and not path.name.startswith(".") and format_of(path) is not None
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
@@ -161,7 +157,6 @@ def _read_all(files: list[Path], up: str | None, tell: Callable[[str], None]) ->
         tell(path.name)
         known = format_of(path)
         assert known is not None
-        assert known.decode is not None
         yield path, _some(path, turned(known.decode(path), known.up, up or known.up))
 
 

@@ -69,19 +69,18 @@ def groups_of(entries: Sequence[Entry], sound: Sequence[OpusPacket] = (), end: i
         for n, e in enumerate(entries)
         if e.kind is PacketKind.KEY and (n == 0 or e.keyframe != entries[n - 1].keyframe)
     ]
-    samples = {sample.first: sample for sample in samples_of(entries, end)}
-    last = max(samples.values(), key=lambda sample: sample.first)
-    times = [samples[begin].time for begin in begins]
-    ends = [*times[1:], last.time + last.duration]
-    borders = [-(2**63), *(time * SOUND_RATE // TIMESCALE for time in times[1:]), 2**63]
+    samples = samples_of(entries, end)
+    time_of = {sample.first: sample.time for sample in samples}
+    times = [*(time_of[begin] for begin in begins), samples[-1].time + samples[-1].duration]
+    borders = [-(2**63), *(time * SOUND_RATE // TIMESCALE for time in times[1:-1]), 2**63]
     return tuple(
         Group(
             times[n],
-            ends[n],
-            tuple(entries[begin : begins[n + 1] if n + 1 < len(begins) else len(entries)]),
+            times[n + 1],
+            tuple(entries[first:behind]),
             tuple(packet for packet in sound if borders[n] <= packet.time < borders[n + 1]),
         )
-        for n, begin in enumerate(begins)
+        for n, (first, behind) in enumerate(pairwise([*begins, len(entries)]))
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
@@ -132,9 +132,9 @@ class _Reading:
         elif tag == "#EXT-X-DISCONTINUITY":
             self._next = replace(self._next, is_run_start=True)
         elif tag == "#EXT-X-MAP":
-            self._map(dict(_attributes(value)))
+            self._map(_attributes(value))
         elif tag == "#EXT-X-PART":
-            self._part(dict(_attributes(value)))
+            self._part(_attributes(value))
         elif tag == "#EXT-X-MEDIA-SEQUENCE":
             self._known = replace(self._known, first=int(self._number(value)))
         elif tag == "#EXT-X-TARGETDURATION":
@@ -185,5 +185,5 @@ def _before(part: PlaylistPart) -> Iterator[str]:
         yield f"#EXT-X-PROGRAM-DATE-TIME:{time.isoformat(timespec='milliseconds').replace('+00:00', 'Z')}"
 
 
-def _attributes(text: str) -> Sequence[tuple[str, str]]:
-    return [(name, value.strip('"')) for name, value in _ATTRIBUTE.findall(text)]
+def _attributes(text: str) -> dict[str, str]:
+    return {name: value.strip('"') for name, value in _ATTRIBUTE.findall(text)}

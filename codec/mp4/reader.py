@@ -31,7 +31,6 @@ _AUDIO_ENTRY = 28  # bytes of a sound's sample entry, before the boxes in it
 _SCENE_ENTRY = 40
 _OPUS = struct.Struct(">BBHIhB")
 _SAMPLE_BYTES = {SCENE_ENTRY: (SIZE.size + HEADER_BYTES, 64 << 20), SOUND_ENTRY: (1, 1 << 16)}  # least and most
-_MDIA_SCALE = {0: 12, 1: 20}  # where the timescale lies in mdhd
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,12 +178,12 @@ def _movie(moov: memoryview, most: int) -> tuple[list[_Track], dict[int, Default
     if len(traks) > MAX_TRACKS:
         raise refused(f"{len(traks)} tracks are more than {MAX_TRACKS}")
     tracks, runs = [], []
-    for trak in traks:
+    for trak in traks:  # the field lies behind two times, of 4 bytes each or of 8
         version, _, body = version_and_flags(child(trak, b"tkhd"))
         (number,), _ = take(_WORD, body[16 if version else 8 :])
         media = child(trak, b"mdia")
         version, _, body = version_and_flags(child(media, b"mdhd"))
-        (scale,), _ = take(_WORD, body[_MDIA_SCALE.get(version, 12) - 4 :])
+        (scale,), _ = take(_WORD, body[16 if version == 1 else 8 :])
         table = child(media, b"minf", b"stbl")
         track = _described(number, scale, child(table, b"stsd"))
         if track is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from streamlod.codec.container.layout import SIZE, Entry
 from streamlod.codec.packet.packet import PacketKind
@@ -49,8 +49,7 @@ def samples_of(entries: Sequence[Entry], end: int | None = None) -> list[Sample]
     """
     begins = list(_begins(entries))
     found: list[Sample] = []
-    for number, (first, is_sync) in enumerate(begins):
-        behind = begins[number + 1][0] if number + 1 < len(begins) else len(entries)
+    for (first, is_sync), behind in zip(begins, [*(at for at, _ in begins[1:]), len(entries)], strict=False):
         time = microseconds(entries[first].time_ns)
         if found:
             time = max(time, found[-1].time + 1)
@@ -76,7 +75,4 @@ def _with_durations(samples: list[Sample], end: int | None) -> list[Sample]:
     if end is None or end <= samples[-1].time:
         end = samples[-1].time + (samples[-1].time - samples[-2].time if len(samples) > 1 else _LAST)
     ends = [*(sample.time for sample in samples[1:]), end]
-    return [
-        Sample(s.time, min(until - s.time, 2**32 - 1), s.size_bytes, s.is_sync, s.first, s.count)
-        for s, until in zip(samples, ends, strict=True)
-    ]
+    return [replace(s, duration=min(until - s.time, 2**32 - 1)) for s, until in zip(samples, ends, strict=True)]

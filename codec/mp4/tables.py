@@ -102,9 +102,7 @@ def _runs(track: int, traf: memoryview, base: int, known: Defaults, most: int) -
         columns = [bit for bit in _RUN_COLUMNS if flags & bit]
         _check_count(count, most)
         most -= count
-        if len(body) < 4 * count * len(columns):
-            raise refused(f"a run of {count} samples has {len(body)} bytes behind it")
-        rows = np.frombuffer(body, ">u4", count * len(columns)).astype(np.int64).reshape(count, len(columns))
+        rows = _words(body, count * len(columns)).reshape(count, len(columns))
         durations, sizes = (
             rows[:, columns.index(bit)] if bit in columns else np.full(count, default, np.int64)
             for bit, default in ((0x100, known.duration), (0x200, known.size))
@@ -126,7 +124,7 @@ def _sizes(stsz: memoryview, most: int) -> Int64:
     _, _, body = version_and_flags(stsz)
     (size, count), body = take(_RUN, body)
     _check_count(count, most)
-    return np.full(count, size, np.int64) if size else _words(body, count).astype(np.int64)
+    return np.full(count, size, np.int64) if size else _words(body, count)
 
 
 def _offsets(table: memoryview, sizes: Int64) -> Int64:
@@ -135,9 +133,8 @@ def _offsets(table: memoryview, sizes: Int64) -> Int64:
     long = b"co64" in kinds
     _, _, body = version_and_flags(kinds[b"co64"] if long else child(table, b"stco"))
     (count,), body = take(_WORD, body)
-    chunks = (np.frombuffer(body, ">u8", count) if long and len(body) >= 8 * count else _words(body, count)).astype(
-        np.int64
-    )
+    whole = long and len(body) >= 8 * count
+    chunks = np.frombuffer(body, ">u8", count).astype(np.int64) if whole else _words(body, count)
     in_chunks = _samples_in_chunks(child(table, b"stsc"), count)
     if int(in_chunks.sum()) != len(sizes):
         raise refused(f"chunks of {int(in_chunks.sum())} samples are said to hold {len(sizes)}")
@@ -151,7 +148,7 @@ def _samples_in_chunks(stsc: memoryview, chunks: int) -> Int64:
     """How many samples each chunk holds."""
     _, _, body = version_and_flags(stsc)
     (count,), body = take(_WORD, body)
-    rows = _words(body, 3 * count).astype(np.int64).reshape(count, 3)
+    rows = _words(body, 3 * count).reshape(count, 3)
     firsts = np.append(rows[:, 0], chunks + 1)
     if count and (firsts[0] != 1 or (np.diff(firsts) <= 0).any() or rows[:, 1].max() > MAX_SAMPLES):
         raise refused("the table of chunks is out of order")
@@ -165,16 +162,16 @@ def _expanded(stts: memoryview, count: int) -> Int64:
     """The duration of each of `count` samples."""
     _, _, body = version_and_flags(stts)
     (entries,), body = take(_WORD, body)
-    rows = _words(body, 2 * entries).astype(np.int64).reshape(entries, 2)
+    rows = _words(body, 2 * entries).reshape(entries, 2)
     if int(rows[:, 0].sum()) != count:
         raise refused(f"times of {int(rows[:, 0].sum())} samples are given for {count}")
     return np.repeat(rows[:, 1], rows[:, 0])
 
 
-def _words(body: memoryview, count: int) -> np.ndarray[tuple[int], np.dtype[np.uint32]]:
+def _words(body: memoryview, count: int) -> Int64:
     if len(body) < 4 * count:
         raise refused(f"a table of {count} numbers has {len(body)} bytes behind it")
-    return np.frombuffer(body, ">u4", count)
+    return np.frombuffer(body, ">u4", count).astype(np.int64)
 
 
 def _cumulated(steps: Int64) -> Int64:

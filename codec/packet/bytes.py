@@ -26,7 +26,14 @@ def build(packet: Packet) -> bytes:
     Raises:
         ValueError: a field out of its range, or a chunk longer than 2^24 - 1 bytes.
     """
-    _refuse_impossible(packet)
+    check_fields(
+        packet.kind, packet.keyframe, packet.from_version, packet.to_version, packet.time_ns, packet.level_mask
+    )
+    longest = max((len(chunk.data) for chunk in packet.chunks), default=0)
+    if longest > _LENGTH_MASK or packet.to_version >= 1 << 32 or not 0 <= packet.identifier < 1 << 64:
+        raise ValueError(
+            f"a chunk of {longest} bytes, version {packet.to_version} or identifier {packet.identifier} does not fit"
+        )
     directory = b"".join(ENTRY.pack(c.level << 28 | c.kind << 24 | len(c.data), c.checksum) for c in packet.chunks)
     fixed = _FIXED.pack(
         MAGIC,
@@ -92,14 +99,3 @@ def parse(packet: bytes, limits: DecoderLimits = DEFAULT_LIMITS, *, verify: bool
             raise BitstreamError("bad_checksum", f"chunk {word >> 24 & 15} of level {word >> 28} is damaged")
         chunks.append(Chunk(word >> 28, word >> 24 & 15, data, claimed))
     return Packet(PacketKind(kind), profile, keyframe, start, end, time_ns, mask, identifier, tuple(chunks))
-
-
-def _refuse_impossible(packet: Packet) -> None:
-    check_fields(
-        packet.kind, packet.keyframe, packet.from_version, packet.to_version, packet.time_ns, packet.level_mask
-    )
-    longest = max((len(chunk.data) for chunk in packet.chunks), default=0)
-    if longest > _LENGTH_MASK or packet.to_version >= 1 << 32 or not 0 <= packet.identifier < 1 << 64:
-        raise ValueError(
-            f"a chunk of {longest} bytes, version {packet.to_version} or identifier {packet.identifier} does not fit"
-        )

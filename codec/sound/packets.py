@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from io import BytesIO
@@ -121,15 +121,13 @@ class PacketWriter:
         self._begin, self._settings = begin, settings
         self._end = begin  # of what is written
         place = str(path) if isinstance(path, Path) else path
-        try:
+        with _faults_as_os_errors():
             self._container = av.open(place, "w", format="ogg", options={"fflags": "+bitexact+flush_packets"})
             self._stream = self._container.add_stream("libopus", rate=_RATE)
             self._stream.layout = "mono" if settings.channels == 1 else "stereo"
             head = _HEAD.pack(_MAGIC, 1, settings.channels, settings.pre_skip, _RATE, settings.gain, 0)
             self._stream.codec_context.extradata = head
             self._stream.metadata.update(comments(max(0, round(begin * 10**9 / _RATE)), camera))
-        except (av.FFmpegError, ValueError) as error:
-            raise OSError(str(error)) from error
 
     def append(self, packet: OpusPacket) -> None:
         """Add a packet; where some are missing before it there is silence, and one that is there already is left out.
@@ -149,12 +147,8 @@ class PacketWriter:
         Raises:
             OSError: it cannot be written.
         """
-        import av
-
-        try:
+        with _faults_as_os_errors():
             self._container.close()
-        except (av.FFmpegError, ValueError) as error:
-            raise OSError(str(error)) from error
 
     def _write(self, each: OpusPacket) -> None:
         import av
@@ -164,10 +158,18 @@ class PacketWriter:
         packet.pts = packet.dts = self._end - self._begin - self._settings.pre_skip
         packet.duration = each.samples
         self._end += each.samples
-        try:
+        with _faults_as_os_errors():
             self._container.mux(packet)
-        except (av.FFmpegError, ValueError) as error:
-            raise OSError(str(error)) from error
+
+
+@contextmanager
+def _faults_as_os_errors() -> Iterator[None]:
+    import av
+
+    try:
+        yield
+    except (av.FFmpegError, ValueError) as error:
+        raise OSError(str(error)) from error
 
 
 def samples_in(packet: bytes) -> int:

@@ -13,7 +13,7 @@ import numpy as np
 from streamlod.core.arrays import Bool, Float32, Float64, Int64
 from streamlod.core.camera import Camera
 from streamlod.core.scene.anchors import FEATURE_LATENTS, AnchorLevel, AnchorWeights, Scene, SceneHeader
-from streamlod.core.scene.gaussians import MAX_LOG_SCALE, GaussianCloud, concatenate
+from streamlod.core.scene.gaussians import MAX_LOG_SCALE, GaussianCloud, as_cloud, concatenate
 from streamlod.core.scene.octree import level_for_distance
 
 EXTRA_LEVEL_UNIT = 1 / 64
@@ -131,8 +131,7 @@ def _network_outputs(
     size = np.exp(scaling)
     means = anchors[:, None] + offset * size[:, None, :3]
     scales = size[:, None, 3:] * relative
-    parts = (means.reshape(-1, 3), rotation, scales.reshape(-1, 3), opacity, colour)
-    return GaussianCloud(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))
+    return as_cloud(means.reshape(-1, 3), rotation, scales.reshape(-1, 3), opacity, colour)
 
 
 def _sigmoid(values: Float32) -> Float32:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from streamlod.core.arrays import Float32, check_array
 
@@ -39,6 +41,11 @@ class GaussianCloud:
 
     def __len__(self) -> int:
         return len(self.means)
+
+
+def as_cloud(*parts: NDArray[Any]) -> GaussianCloud:
+    """The Gaussians of these arrays, in the order of the attributes, of any numbers that float32 can hold."""
+    return GaussianCloud(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))
 
 
 def concatenate(clouds: list[GaussianCloud]) -> GaussianCloud:

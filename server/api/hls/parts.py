@@ -8,7 +8,7 @@ from itertools import groupby, pairwise
 from pathlib import Path
 
 from streamlod.codec.container import Piece, SlodReader
-from streamlod.codec.container.layout import SIZE, Entry, entry_of, record
+from streamlod.codec.container.layout import entries_of, record
 from streamlod.codec.mp4.file import Group, groups_of
 from streamlod.codec.mp4.playlist import PlaylistPart
 from streamlod.codec.mp4.samples import TIMESCALE, microseconds, samples_of
@@ -50,7 +50,7 @@ def segment_of(group: GroupFile, end: int | None) -> tuple[Piece, ...]:
         with SlodReader(group) as reader:
             parts = groups_of(reader.entries, end=end)
             return Group(parts[0].time, parts[-1].end, reader.entries).pieces(group)
-    entries = _entries(group)
+    entries = entries_of((packet.info for packet in group), 0)
     data = b"".join(record(packet.data) for packet in group)
     return fragment_head(entries[0].to_version + 1, samples_of(entries, end)), data
 
@@ -79,12 +79,3 @@ def finished_parts(
     if parts:
         parts[0] = replace(parts[0], is_run_start=is_run_start, begun_ns=begun_ns)
     return tuple(parts)
-
-
-def _entries(packets: Sequence[StreamPacket]) -> list[Entry]:
-    entries: list[Entry] = []
-    at = 0
-    for packet in packets:
-        entries.append(entry_of(packet.info, at + SIZE.size))
-        at += SIZE.size + len(packet.data)
-    return entries
