@@ -54,25 +54,32 @@ def token_of(connection: HTTPConnection) -> str | None:
     return next((p.strip()[7:] for p in offered.split(",") if p.strip().startswith("bearer.")), None)
 
 
-async def refusal(gate: Gate, connection: HTTPConnection, right: Right, stream: str | None) -> Problem | None:
-    """Why this request may not go on, or None if it may. Takes the same time for every wrong token."""
-    begin = time.monotonic()
+async def check_right(connection: HTTPConnection, right: Right, stream: str | None) -> None:
+    """Let a request go on only with `right`, on `stream` if one is named. Takes the same time for every wrong token.
+
+    Raises:
+        Problem: it may not.
+    """
+    begin, gate = time.monotonic(), registry_of(connection).gate
     if connection.scope.get("method", "GET") not in _SAFE and is_foreign(connection):
-        return Problem(403, "pages of this origin may not change anything here; list it in the setting `origins`")
-    address = address_of(connection)
-    if gate.is_blocked(address):
-        return Problem(429, "too many wrong tokens from this address", {"Retry-After": "60"})
+        raise Problem(403, "pages of this origin may not change anything here; list it in the setting `origins`")
+    _check_address(gate, connection)
     grant = await gate.admit(token_of(connection))
-    if grant is not None and grant.allows(right, stream):
-        connection.state.grant = grant
-        return None
-    if grant is not None:
-        return Problem(403, f"the token does not give the right to {right.value} here")
-    return await _refuse(gate, address, begin)
+    if grant is None:
+        raise await _refused(gate, connection, begin)
+    if not grant.allows(right, stream):
+        raise Problem(403, f"the token does not give the right to {right.value} here")
+    connection.state.grant = grant
 
 
-async def _refuse(gate: Gate, address: str, begin: float) -> Problem:
-    gate.note_refusal(address)
+def _check_address(gate: Gate, connection: HTTPConnection) -> None:
+    if gate.is_blocked(address_of(connection)):
+        raise Problem(429, "too many wrong tokens from this address", {"Retry-After": "60"})
+
+
+async def _refused(gate: Gate, connection: HTTPConnection, begin: float) -> Problem:
+    """The answer to a wrong token, after a while from `begin`."""
+    gate.note_refusal(address_of(connection))
     await asyncio.sleep(max(0.0, _REFUSAL_SECONDS - (time.monotonic() - begin)))
     return Problem(401, "a valid token is needed", {"WWW-Authenticate": "Bearer"})
 
@@ -103,9 +110,11 @@ async def admit(websocket: WebSocket, right: Right, stream_id: str, *, signed: b
         raise SessionError(
             CloseCode.FORBIDDEN, "pages of this origin may not connect; list it in the setting `origins`"
         )
-    problem = None if signed else await refusal(registry.gate, websocket, right, stream_id)
-    if problem is not None:
-        raise SessionError(_CLOSE_CODES[problem.status], problem.detail)
+    try:
+        if not signed:
+            await check_right(websocket, right, stream_id)
+    except Problem as problem:
+        raise SessionError(_CLOSE_CODES[problem.status], problem.detail) from problem
     if registry.draining:
         raise SessionError(CloseCode.STOPPING, STOPPING)
     if stream_id not in registry.streams and registry.unready:
@@ -151,9 +160,7 @@ def need(right: Right) -> Any:
     """A dependency that lets a request pass only with `right`, on the stream its path names if it names one."""
 
     async def check(request: Request) -> None:
-        problem = await refusal(registry_of(request).gate, request, right, request.path_params.get("stream_id"))
-        if problem is not None:
-            raise problem
+        await check_right(request, right, request.path_params.get("stream_id"))
 
     return Depends(check)
 
@@ -164,20 +171,18 @@ def need_download() -> Any:
     async def check(request: Request) -> None:
         gate, begin = registry_of(request).gate, time.monotonic()
         gate.look()
-        stream = registry_of(request).streams.get(request.path_params.get("stream_id", ""))
-        incarnation = "" if stream is None else stream.incarnation
+        stream_id = request.path_params["stream_id"]
         if "signature" not in request.query_params:
-            problem = await refusal(gate, request, Right.READ, request.path_params.get("stream_id"))
-        elif gate.is_blocked(address_of(request)):
-            problem = Problem(429, "too many wrong tokens from this address", {"Retry-After": "60"})
-        elif gate.links.allows(request.url.path, request.query_params, incarnation):
-            problem = None
-        elif gate.links.has_ended(request.url.path, request.query_params):  # no guess: players go on asking
-            problem = Problem(401, LINK_ENDED, {"WWW-Authenticate": "Bearer"})
-        else:
-            problem = await _refuse(gate, address_of(request), begin)
-        if problem is not None:
-            raise problem
+            await check_right(request, Right.READ, stream_id)
+            return
+        _check_address(gate, request)
+        stream = registry_of(request).streams.get(stream_id)
+        incarnation = "" if stream is None else stream.incarnation
+        if gate.links.allows(request.url.path, request.query_params, incarnation):
+            return
+        if gate.links.has_ended(request.url.path, request.query_params):  # no guess: players go on asking
+            raise Problem(401, LINK_ENDED, {"WWW-Authenticate": "Bearer"})
+        raise await _refused(gate, request, begin)
 
     return Depends(check)
 

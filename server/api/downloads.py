@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request, Response
@@ -17,7 +18,6 @@ from streamlod.server.api.ranges import FRESH, IMMUTABLE, Download, WallClock, r
 from streamlod.server.http.problems import Problem, problems
 from streamlod.server.protocol.packets import Position
 from streamlod.server.stream.bus import GroupFile, RetainedGroup
-from streamlod.server.stream.recording.segment import Segment
 from streamlod.server.stream.stream import Stream
 
 _PACKET_TYPE, _FILE_TYPE = "application/vnd.streamlod.packet", "application/vnd.streamlod"
@@ -89,7 +89,7 @@ async def bitstream(
     chosen = await _files(stream, [group.first for group in kept if group.first.epoch == wanted])
     if not chosen:
         raise _absent(stream, Position(wanted, 0)) if stream.newest else Problem(404, "the stream has no packet yet")
-    return respond(request, await _file(stream, chosen, FRESH, str(wanted)))
+    return respond(request, await _joined(stream.id, stream.incarnation, chosen, FRESH, str(wanted)))
 
 
 @played.get(RECORDING, summary="The file that the stream plays", response_class=Response, responses=ANSWERS)
@@ -146,7 +146,8 @@ async def _group_file(stream: Stream, epoch: int, first: int, caching: str) -> D
     if not chosen:
         raise _absent(stream, place)
     closed = stream.bus.key_after(place) is not None
-    return await _file(stream, chosen, caching if closed else FRESH, f"{epoch}-{first}")
+    caching = caching if closed else FRESH
+    return await _joined(stream.id, stream.incarnation, chosen, caching, f"{epoch}-{first}")
 
 
 async def retained(stream: Stream) -> list[RetainedGroup]:
@@ -180,17 +181,12 @@ async def _files(stream: Stream, firsts: list[Position]) -> dict[Position, Group
         raise unreadable(error) from error
 
 
-def unreadable(error: OSError) -> Problem:
+def unreadable(error: Exception) -> Problem:
     """The answer where disk or network does not give what is retained."""
     return Problem(503, f"the past cannot be read now ({error})", {"Retry-After": "2"})
 
 
-def group_files(segments: list[Segment]) -> dict[Position, GroupFile]:
-    """The files of recorded groups of pictures, by position; those that hold something."""
-    return {segment.first: segment.path for segment in segments if segment.packets}
-
-
-async def recorded_file(name: str, incarnation: str, groups: dict[Position, GroupFile]) -> Download:
+async def recorded_file(name: str, incarnation: str, groups: Mapping[Position, GroupFile]) -> Download:
     """Recorded groups of one encoder run as one file.
 
     Raises:
@@ -205,11 +201,10 @@ async def recorded_file(name: str, incarnation: str, groups: dict[Position, Grou
     return await _joined(name, incarnation, groups, FRESH, str(epochs[0]))
 
 
-async def _file(stream: Stream, groups: dict[Position, GroupFile], caching: str, name: str) -> Download:
-    return await _joined(stream.id, stream.incarnation, groups, caching, name)
-
-
-async def _joined(name: str, incarnation: str, groups: dict[Position, GroupFile], caching: str, part: str) -> Download:
+async def _joined(
+    name: str, incarnation: str, groups: Mapping[Position, GroupFile], caching: str, part: str
+) -> Download:
+    """Groups of pictures as one `.slod` file, whose name is that of their stream and of the `part` that they are."""
     parts = [
         [(packet.info, packet.data) for packet in group] if isinstance(group, list) else group
         for _, group in sorted(groups.items())

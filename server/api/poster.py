@@ -20,8 +20,8 @@ from streamlod.core.camera.view import camera_of_view, view_in
 from streamlod.core.errors import BitstreamError
 from streamlod.core.render.splatter import Splatter
 from streamlod.core.scene.anchors import Scene
-from streamlod.server.api.access import StreamOf, need, refusal, registry_of
-from streamlod.server.api.downloads import digest
+from streamlod.server.api.access import StreamOf, check_right, find_stream, need, registry_of
+from streamlod.server.api.downloads import digest, unreadable
 from streamlod.server.api.ranges import FRESH, Download, respond
 from streamlod.server.auth.gate import Right
 from streamlod.server.http.problems import Problem, problems
@@ -93,21 +93,22 @@ async def scene_at(stream: Stream, look: Look) -> Scene:
     newest, scene = stream.newest, stream.hub.scene
     if newest is None or scene is None:
         raise Problem(404, "the stream has no picture yet")
-    place = (
-        newest if look.version is None else Position(newest.epoch if look.epoch is None else look.epoch, look.version)
-    )
+    if look.version is None:
+        return scene
+    place = Position(newest.epoch if look.epoch is None else look.epoch, look.version)
     if place == newest:
         return scene
+    absent = Problem(404, f"version {place.version} of epoch {place.epoch} cannot be shown")
     key = stream.bus.key_before(place)
     if key is None or key > place or key.epoch != place.epoch or place > newest:
-        raise Problem(404, f"version {place.version} of epoch {place.epoch} cannot be shown")
+        raise absent
     try:
         packets = await stream.bus.read_group(key, place)
         found = await asyncio.to_thread(_decoded, [packet.data for packet in packets])
     except (OSError, BitstreamError) as error:
-        raise Problem(503, f"the past cannot be read now ({error})", {"Retry-After": "2"}) from error
+        raise unreadable(error) from error
     if found is None or found.version != place.version:
-        raise Problem(404, f"version {place.version} of epoch {place.epoch} cannot be shown")
+        raise absent
     return found
 
 
@@ -118,72 +119,64 @@ def _decoded(packets: list[bytes]) -> Scene | None:
     return decoder.scene
 
 
-class Looks:
-    """Pictures of looks, drawn when somebody asks; the newest are kept, and few may wait for one."""
+class Posters:
+    """Pictures of streams, drawn when somebody asks.
+
+    The newest of each stream is drawn once a keyframe. Of those with a view or moment the last ones are kept, and few
+    requests may wait for one.
+    """
 
     def __init__(self) -> None:
-        self._made: OrderedDict[tuple[str, Look, int], bytes] = OrderedDict()
+        self._newest: WeakKeyDictionary[Stream, tuple[object, asyncio.Task[RenderedPicture]]] = WeakKeyDictionary()
+        self._looks: OrderedDict[tuple[str, Look, int], bytes] = OrderedDict()
         self._waiting = 0
 
-    async def draw(self, stream: Stream, look: Look, renderer: PictureRenderer, middle: Camera) -> bytes:
-        """A JPEG file of PREVIEW_SIZE, or of the size of `middle` where the look names no camera.
-
-        Raises:
-            Problem: as `scene_at`; 503, too many wait already.
-        """
-        if self._waiting >= _MAX_WAITING:
-            raise Problem(503, "too many pictures are being drawn", {"Retry-After": "2"})
-        self._waiting += 1
-        try:
-            return await self._draw(stream, look, renderer, middle)
-        finally:
-            self._waiting -= 1
-
-    async def _draw(self, stream: Stream, look: Look, renderer: PictureRenderer, middle: Camera) -> bytes:
-        scene = await scene_at(stream, look)
-        key = stream.incarnation, look, scene.version
-        if (made := self._made.get(key)) is not None:
-            return made
-        camera = camera_of(look.camera) or middle
-        drawing = partial(renderer.render_picture, Splatter(), scene, camera, len(scene.levels), _GRADE)
-        jpeg = self._made[key] = (await renderer.run(drawing)).jpeg
-        if len(self._made) > _KEPT:
-            self._made.popitem(last=False)
-        return jpeg
-
-
-class Posters:
-    """The newest picture of each stream, drawn once a keyframe when somebody asks for it."""
-
-    def __init__(self) -> None:
-        self._made: WeakKeyDictionary[Stream, tuple[object, asyncio.Task[RenderedPicture]]] = WeakKeyDictionary()
-        self._looks = Looks()
-
     async def of(self, stream: Stream, renderer: PictureRenderer, look: Look) -> bytes:
-        """A JPEG file of `stream` as the camera in the middle of its rig sees it, or as `look` says.
+        """A JPEG file of `stream` as the camera in the middle of its rig sees it, or as `look` says, then of
+        PREVIEW_SIZE.
 
         Raises:
-            Problem: 404, there is nothing to draw; 503, not now.
+            Problem: 404, there is nothing to draw; 503, not now, or too many wait already.
         """
         scene = stream.hub.scene
         if scene is None or not scene.header.cameras:
             raise Problem(404, "the stream has no picture yet")
-        if not look.is_plain:
-            return await self._looks.draw(stream, look, renderer, fitted(middle_camera(scene), 1, MAX_POSTER_PIXELS))
-        made = self._made.get(stream)
-        if made is None or made[0] is not scene.weights:
-            camera = fitted(middle_camera(scene), 1, MAX_POSTER_PIXELS)
-            drawing = partial(renderer.render_picture, Splatter(), scene, camera, len(scene.levels), _GRADE)
-            made = scene.weights, asyncio.create_task(renderer.run(drawing))
-            self._made[stream] = made
-        return (await asyncio.shield(made[1])).jpeg
+        if look.is_plain:
+            made = self._newest.get(stream)
+            if made is None or made[0] is not scene.weights:
+                made = scene.weights, asyncio.create_task(_picture(renderer, scene, middle_camera(scene)))
+                self._newest[stream] = made
+            return (await asyncio.shield(made[1])).jpeg
+        if self._waiting >= _MAX_WAITING:
+            raise Problem(503, "too many pictures are being drawn", {"Retry-After": "2"})
+        self._waiting += 1
+        try:
+            return await self._draw(stream, look, renderer, camera_of(look.camera) or middle_camera(scene))
+        finally:
+            self._waiting -= 1
+
+    async def _draw(self, stream: Stream, look: Look, renderer: PictureRenderer, camera: Camera) -> bytes:
+        scene = await scene_at(stream, look)
+        key = stream.incarnation, look, scene.version
+        if (made := self._looks.get(key)) is not None:
+            return made
+        jpeg = self._looks[key] = (await _picture(renderer, scene, camera)).jpeg
+        if len(self._looks) > _KEPT:
+            self._looks.popitem(last=False)
+        return jpeg
+
+
+async def _picture(renderer: PictureRenderer, scene: Scene, camera: Camera) -> RenderedPicture:
+    return await renderer.run(partial(renderer.render_picture, Splatter(), scene, camera, len(scene.levels), _GRADE))
 
 
 def middle_camera(scene: Scene) -> Camera:
-    """The camera of the rig nearest to the middle of all, from which a visit begins."""
+    """The camera of the rig nearest to the middle of all, from which a visit begins, with as many pixels as a poster
+    may have."""
     cameras = scene.header.cameras
     centres = np.stack([camera.centre for camera in cameras])
-    return cameras[int(np.linalg.norm(centres - centres.mean(axis=0), axis=1).argmin())]
+    nearest = cameras[int(np.linalg.norm(centres - centres.mean(axis=0), axis=1).argmin())]
+    return fitted(nearest, 1, MAX_POSTER_PIXELS)
 
 
 @router.get(
@@ -239,7 +232,7 @@ async def oembed(
     look, scene = Look.of(query), stream.hub.scene
     picture: dict[str, str | int] = {}
     if scene is not None and scene.header.cameras:
-        middle = fitted(middle_camera(scene), 1, MAX_POSTER_PIXELS)
+        middle = middle_camera(scene)
         seen = PREVIEW_SIZE if look.camera else (middle.width, middle.height)
         address = f"{base}v1/streams/{quote(stream.id, safe='')}/poster.jpg{look.query}"
         picture = {"thumbnail_url": address, "thumbnail_width": seen[0], "thumbnail_height": seen[1]}
@@ -254,7 +247,6 @@ async def oembed(
 
 async def _stream_of(url: str, request: Request) -> tuple[Stream, dict[str, str]]:
     """The stream that a page's address means, and the address's parameters."""
-    registry = registry_of(request)
     try:
         parts = urlsplit(url)
     except ValueError as error:
@@ -263,10 +255,6 @@ async def _stream_of(url: str, request: Request) -> tuple[Stream, dict[str, str]
     if parts.netloc != request.url.netloc or parts.path not in (root.removesuffix("/"), root, f"{root}index.html"):
         raise Problem(404, "that is no page of this server")
     query = {name: values[0] for name, values in parse_qs(parts.query).items() if name != "token"}
-    stream_id = query.get("stream") or next(iter(sorted(registry.streams)), "")
-    problem = await refusal(registry.gate, request, Right.READ, stream_id)
-    if problem is not None:
-        raise problem
-    if stream_id not in registry.streams:
-        raise Problem(404, f"there is no stream {stream_id!r:.80}")
-    return registry.streams[stream_id], query
+    stream_id = query.get("stream") or min(registry_of(request).streams, default="")
+    await check_right(request, Right.READ, stream_id)
+    return find_stream(stream_id, request), query

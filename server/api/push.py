@@ -11,7 +11,7 @@ from starlette.websockets import WebSocket
 from streamlod.core.close_codes import CloseCode
 from streamlod.core.errors import InputError, SessionError
 from streamlod.server.api.access import LINK_ENDED, RECHECK_SECONDS, admit, is_signed, registry_of, until_withdrawn
-from streamlod.server.api.registry import STOPPING, Registry
+from streamlod.server.api.registry import STOPPING
 from streamlod.server.auth.gate import Right
 from streamlod.server.http.websocket import CONNECTION, Connection
 from streamlod.server.ingest.push.message import MAX_MESSAGE_BYTES, PushMessage
@@ -72,11 +72,10 @@ async def open_intake(websocket: WebSocket, stream_id: str) -> AnyIntake:
         intake = await asyncio.to_thread(RelayedIntake, stream.push_socket)
     except InputError as error:
         raise SessionError(CloseCode.BUSY, "the stream takes no pictures at present; try again later") from error
-    registry: Registry = websocket.app.state.registry
-    session = asyncio.current_task()
+    session, publishers = asyncio.current_task(), registry_of(websocket).publishers
     assert session is not None
-    registry.publishers.add(session)
-    session.add_done_callback(registry.publishers.discard)
+    publishers.add(session)
+    session.add_done_callback(publishers.discard)
     connection: Connection = websocket.scope[CONNECTION]
     connection.allow_messages_of(MAX_MESSAGE_BYTES)
     return intake if linked is None else _OneCamera(intake, linked)
@@ -93,8 +92,7 @@ async def until_no_publisher(websocket: WebSocket, stream_id: str) -> None:
 
 async def until_stopping(websocket: WebSocket, _: str) -> None:
     """Wait until the server stops; SessionError then."""
-    registry: Registry = websocket.app.state.registry
-    await registry.stopping.wait()
+    await registry_of(websocket).stopping.wait()
     raise SessionError(CloseCode.STOPPING, STOPPING)
 
 

@@ -63,10 +63,8 @@ def respond(request: Request, download: Download) -> Response:
         "Cache-Control": caching(request, download.caching),
         "Content-Disposition": f'attachment; filename="{download.name}"',
     }
-    offered = request.headers.get("if-none-match")
-    known = (
-        [] if offered is None else [each.strip().removeprefix("W/") for each in offered.split(",")]
-    )  # weak comparison
+    offered = request.headers.get("if-none-match", "").split(",")
+    known = [each.strip().removeprefix("W/") for each in offered]  # weak comparison
     if "*" in known or etag in known:
         return Response(status_code=304, headers=headers)
     begin, end, status = 0, size, 200

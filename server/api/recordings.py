@@ -9,7 +9,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from streamlod.server.api.access import grant_of, need, registry_of
-from streamlod.server.api.downloads import group_files, recorded_file
+from streamlod.server.api.downloads import recorded_file
 from streamlod.server.api.ranges import WallClock, respond
 from streamlod.server.api.registry import Registry
 from streamlod.server.api.schemas import RecordingBody, RecordingList
@@ -70,8 +70,9 @@ async def download_recording(
     """The recording between two times, in whole groups of pictures, as a `.slod` file. A file holds one encoder
     run: where the times span several, `epoch` has to name one (409)."""
     await recording.flush()
-    segments = [s for s in clock.choose(recording.segments) if epoch in (None, s.first.epoch) and s.packets]
-    return respond(request, await recorded_file(stream_id, recording.stored.incarnation, group_files(segments)))
+    chosen = clock.choose(recording.segments)
+    groups = {s.first: s.path for s in chosen if epoch in (None, s.first.epoch) and s.packets}
+    return respond(request, await recorded_file(stream_id, recording.stored.incarnation, groups))
 
 
 @router.delete("/{stream_id}", status_code=204, summary="Delete a recording", dependencies=[need(Right.CONTROL)])

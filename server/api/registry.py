@@ -111,33 +111,30 @@ class Registry:
             StorageError: the disk is full; nothing was added.
         """
         async with self._changing(spec.id):
-            return await self._create(spec, start=start)
-
-    async def _create(self, spec: StreamSpec, *, start: bool) -> WorkerStream:
-        if self.draining:
-            raise InputError(f"stream {spec.id}", "cannot be created while the server stops; try again later")
-        if spec.id in self.streams:
-            raise InputError(f"stream {spec.id}", "the id is taken; choose another")
-        if len(self.streams) >= self.settings.limits.streams:
-            raise InputError(f"stream {spec.id}", f"there are {len(self.streams)} streams, and no more are allowed")
-        if self.store is not None and not self.store.disk.has_room:
-            raise StorageError(f"stream {spec.id}", "cannot be stored: the disk is full up to its reserve")
-        stream = self._add(spec)
-        recording = stream.bus.recording
-        if recording is not None:
-            try:
-                recording.note(definition=self._sealed(spec), running=start)
-            except StorageError:
-                del self.streams[spec.id]
-                if recording.segments:  # of an earlier stream of this id
-                    self.kept[spec.id] = recording
-                else:
-                    await recording.erase()
-                raise
-        self.feed.tell("stream.created", spec.id)
-        if start:
-            stream.start()
-        return stream
+            if self.draining:
+                raise InputError(f"stream {spec.id}", "cannot be created while the server stops; try again later")
+            if spec.id in self.streams:
+                raise InputError(f"stream {spec.id}", "the id is taken; choose another")
+            if len(self.streams) >= self.settings.limits.streams:
+                raise InputError(f"stream {spec.id}", f"there are {len(self.streams)} streams, and no more are allowed")
+            if self.store is not None and not self.store.disk.has_room:
+                raise StorageError(f"stream {spec.id}", "cannot be stored: the disk is full up to its reserve")
+            stream = self._add(spec)
+            recording = stream.bus.recording
+            if recording is not None:
+                try:
+                    recording.note(definition=self._sealed(spec), running=start)
+                except StorageError:
+                    del self.streams[spec.id]
+                    if recording.segments:  # of an earlier stream of this id
+                        self.kept[spec.id] = recording
+                    else:
+                        await recording.erase()
+                    raise
+            self.feed.tell("stream.created", spec.id)
+            if start:
+                stream.start()
+            return stream
 
     async def delete(self, stream: WorkerStream, *, erase: bool) -> None:
         """Remove a stream, with its recording if that is to be erased.
@@ -223,17 +220,14 @@ class Registry:
         """
         async with self._changing(stream.id):
             self._check_present(stream)
-            self._change(stream, spec)
-
-    def _change(self, stream: WorkerStream, spec: StreamSpec) -> None:
-        if stream.id in self.configured:
-            raise InputError(f"stream {stream.id}", "is of the settings; change it there")
-        if stream.is_running:
-            raise InputError(f"stream {stream.id}", "runs; stop it before it is changed")
-        if stream.bus.recording is not None:
-            stream.bus.recording.note(definition=self._sealed(spec))
-        stream.define(spec, self._push_socket() if spec.is_live else None)
-        self.feed.tell("stream.changed", stream.id)
+            if stream.id in self.configured:
+                raise InputError(f"stream {stream.id}", "is of the settings; change it there")
+            if stream.is_running:
+                raise InputError(f"stream {stream.id}", "runs; stop it before it is changed")
+            if stream.bus.recording is not None:
+                stream.bus.recording.note(definition=self._sealed(spec))
+            stream.define(spec, self._push_socket() if spec.is_live else None)
+            self.feed.tell("stream.changed", stream.id)
 
     async def drain(self) -> None:
         """Disconnect viewers and capture nodes, stop workers and finish recordings; only the first call does anything.

@@ -14,8 +14,9 @@ from fastapi import APIRouter, Query, Request, Response
 
 from streamlod.core.errors import BitstreamError, InputError, StorageError, StreamGoneError
 from streamlod.core.masking import masked
-from streamlod.server.api.access import StreamOf, WorkerStreamOf, grant_of, need, refusal, registry_of
+from streamlod.server.api.access import StreamOf, WorkerStreamOf, check_right, grant_of, need, registry_of
 from streamlod.server.api.conditions import IfMatch, IfMatchHeader, check_match, tag_headers
+from streamlod.server.api.downloads import unreadable
 from streamlod.server.api.push import capture_address, scope_of
 from streamlod.server.api.reach import check_reach
 from streamlod.server.api.registry import Registry
@@ -71,9 +72,7 @@ async def create_stream(body: NewStream, request: Request, response: Response) -
     """Create a stream from a data set, live cameras, a recorded file or a synthetic clip; idle without `start`. With
     it, a stream for which the workers' cluster has no room is not created: 409, with what would have to stop."""
     registry = registry_of(request)
-    problem = await refusal(registry.gate, request, Right.CONTROL, body.id)
-    if problem is not None:
-        raise problem
+    await check_right(request, Right.CONTROL, body.id)
     spec = await _checked(lambda: body.spec, request)
     try:
         stream = await registry.create(spec, start=body.start is True)
@@ -245,9 +244,8 @@ async def get_manifest(
     try:
         groups = await stream.bus.groups()
     except OSError as error:
-        raise Problem(503, f"the past cannot be read now ({error})", {"Retry-After": "2"}) from error
-    scene = stream.hub.scene
-    newest = stream.newest
+        raise unreadable(error) from error
+    scene, newest = stream.hub.scene, stream.newest
     return Manifest.model_validate(
         {
             "stream": stream.id,
@@ -279,18 +277,19 @@ def _check_source(spec: StreamSpec) -> None:
     if spec.play is not None:
         streamed_packets(spec.play)
         return
-    assert spec.job is not None
-    if isinstance(spec.job.live, dict):
+    job = spec.job
+    assert job is not None
+    if isinstance(job.live, dict):
         from streamlod.server.ingest.cameras.definition import read_definition
 
-        read_definition(spec.job.live)
-    points = None if spec.job.points in POINT_METHODS else Path(spec.job.points)
-    for name, path in (("data", spec.job.data), ("live", spec.job.live), ("points", points)):
-        if isinstance(path, Path) and not (path.is_file() if path is points else path.exists()):
-            kind = "file " if path is points else ""
-            methods = f", and no method of this name: {', '.join(POINT_METHODS)}" if path is points else ""
-            raise InputError(name, f"there is no {kind}{str(path)!r:.200} on the server{methods}")
-    check_job(spec.job)
+        read_definition(job.live)
+    for name, path in (("data", job.data), ("live", job.live)):
+        if isinstance(path, Path) and not path.exists():
+            raise InputError(name, f"there is no {str(path)!r:.200} on the server")
+    if job.points not in POINT_METHODS and not (points := Path(job.points)).is_file():
+        fault = f"there is no file {str(points)!r:.200} on the server, and no method of this name"
+        raise InputError("points", f"{fault}: {', '.join(POINT_METHODS)}")
+    check_job(job)
 
 
 async def _wait_for_later(registry: Registry, stream: Stream, place: Position, seconds: float) -> None:

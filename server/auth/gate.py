@@ -179,8 +179,7 @@ class Gate:
     def is_blocked(self, address: str) -> bool:
         """Whether `address` has offered too many wrong tokens within the last minute."""
         times = self._refusals.get(address)
-        full = times is not None and len(times) == times.maxlen
-        return full and times is not None and time.monotonic() - times[0] < _MINUTE
+        return times is not None and len(times) == times.maxlen and time.monotonic() - times[0] < _MINUTE
 
 
 def _is_canonical(token: str) -> bool:
@@ -240,10 +239,8 @@ def _read_entry(path: Path, number: int, entry: Any) -> tuple[str, Grant]:
     return digest.lower(), grant
 
 
-def _grant_of_claims(claims: dict[str, Any] | None) -> Grant | None:
-    """The grant in claim ``lod``: {"rights": [...], "streams": "*"}."""
-    if claims is None:
-        return None
+def _grant_of_claims(claims: dict[str, Any]) -> Grant | None:
+    """The grant in claim ``lod``: {"rights": [...], "streams": "*"}; None where it holds none."""
     try:
         return _grant(claims["lod"], int(claims["exp"]))
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):

@@ -39,9 +39,7 @@ class SitePolicy:
             "Referrer-Policy": "no-referrer",
             "Content-Security-Policy": f"frame-ancestors {ancestors}",
         }
-        if (
-            not settings.frame_ancestors
-        ):  # for browsers that do not know the policy above; this header cannot name sites
+        if not settings.frame_ancestors:  # for browsers without the policy above; this header cannot name sites
             self._headers["X-Frame-Options"] = "SAMEORIGIN"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

@@ -10,8 +10,6 @@ import asyncio
 import sys
 from collections import Counter
 
-STALLED = "stalled"  # the reason under which those that were cut are counted
-
 
 class StallWatch:
     """Checks a transport's write buffer at intervals, until `end`.
@@ -45,7 +43,7 @@ class StallWatch:
         if left:
             left += _kernel_bytes(self._transport)
         if self._left > 0 < left and self._left - left < self._least_bytes:
-            self._turned_away[STALLED] += 1
+            self._turned_away["stalled"] += 1
             self._transport.abort()
             return
         self._left = left

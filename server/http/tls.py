@@ -36,7 +36,7 @@ class Certificates:
 
     def __init__(self, chain: Path, key: Path) -> None:
         self._chain, self._key = chain, key
-        self.context = self._read()
+        self.reload()
 
     def reload(self) -> None:
         """Read the files again.
@@ -44,16 +44,13 @@ class Certificates:
         Raises:
             InputError: they cannot be used, or do not belong together; the earlier ones stay.
         """
-        self.context = self._read()
-
-    def _read(self) -> ssl.SSLContext:
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         try:
             context.load_cert_chain(self._chain, self._key, password=_no_password)
         except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
             fault = f"cannot be used with {self._key} ({error}); both must be there and belong together"
             raise InputError(self._chain, fault) from error
-        return context
+        self.context = context
 
 
 class Handshakes:

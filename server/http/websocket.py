@@ -156,9 +156,8 @@ class Connection:
 
     def __init__(self, protocol: ViewerProtocol) -> None:
         self._protocol = protocol
-        self.post: Callable[[bytes], None] = (
-            protocol.transport.write
-        )  # called directly, as it runs hundreds of times for each packet
+        # called directly, as it runs hundreds of times for each packet
+        self.post: Callable[[bytes], None] = protocol.transport.write
 
     def listen(self, take: Callable[[bytes], bool] | None) -> None:
         """Give text messages to `take` as they arrive, without a queue; those it does not handle go to the endpoint."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from streamlod.core.close_codes import CloseCode
@@ -44,7 +43,6 @@ def numbers(message: dict[str, Any], name: str, count: int, largest: float) -> l
     if not isinstance(values, list) or len(values) != count:
         raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must be a list of {count} numbers")
     for value in values:
-        good = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if not good or not abs(value) <= largest or math.isnan(value):
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= largest:  # also for NaN
             raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must hold numbers of at most {largest:g}")
     return [float(value) for value in values]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -97,9 +96,9 @@ def parse_hello(text: str) -> Hello:
     client = message.get("client", "")
     if not isinstance(client, str) or len(client) > 200 or not client.isprintable():  # because it is logged
         raise SessionError(CloseCode.BAD_MESSAGE, "client must be a string of at most 200 printable characters")
-    start, pictures = _target(message.get("start", LIVE), "start"), flag(message, "pictures")
-    flags = pictures, flag(message, "relay"), flag(message, "sound")
-    return Hello(client, start, _levels(message), _rate(message), *flags)
+    start, flags = _target(message.get("start", LIVE), "start"), ("pictures", "relay", "sound")
+    pictures, relay, sound = (flag(message, name) for name in flags)
+    return Hello(client, start, _levels(message), _rate(message), pictures, relay, sound)
 
 
 def parse_control(text: str) -> Control:
@@ -142,12 +141,12 @@ def welcome(
         edges: addresses of servers that serve the same stream.
         together: who presents, and whether the viewer may.
     """
-    about = {"version": PROTOCOL_VERSION, "session": session, "stream": stream["id"]}
     names = ("incarnation", "source", "loop", "sound", "state", "detail", "progress", "epoch", "levels", "fps")
-    shared = {name: stream[name] for name in names}
-    rest = {"window": window, "ack_every": ACK_EVERY, "server_time_ns": now_ns, "edges": list(edges)}
-    rest["together"] = together
-    return {"type": "welcome", **about, **shared, **rest}
+    return {
+        "type": "welcome", "version": PROTOCOL_VERSION, "session": session, "stream": stream["id"],
+        **{name: stream[name] for name in names},
+        "window": window, "ack_every": ACK_EVERY, "server_time_ns": now_ns, "edges": list(edges), "together": together,
+    }  # fmt: skip
 
 
 def event(name: str, **fields: Any) -> dict[str, Any]:
@@ -205,6 +204,6 @@ def _rate(message: dict[str, Any]) -> float | None:
     value = message.get("kilobytes_per_second")
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 1 <= value <= 1e9 or math.isnan(value):
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 1 <= value <= 1e9:
         raise SessionError(CloseCode.BAD_MESSAGE, "kilobytes_per_second must be a number from 1 to 1e9")
     return float(value)

@@ -47,7 +47,7 @@ class BinaryMessage:
     @cached_property
     def pieces(self) -> tuple[bytes, ...]:
         """The message as websocket frames of `PIECE_BYTES`."""
-        return tuple(binary_fragments(memoryview(self.data), PIECE_BYTES))
+        return tuple(_fragments(memoryview(self.data)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,13 +90,10 @@ class StreamPacket:
 
     def message(self, levels: int) -> BinaryMessage:
         """`restricted` as a message, made once and shared by all viewers."""
-        message = self._messages.get(levels)
-        if message is None:
-            held = min(levels, self.info.level_mask.bit_length())
-            if held not in self._messages:
-                self._messages[held] = BinaryMessage(self.restricted(held))
-            message = self._messages[levels] = self._messages[held]
-        return message
+        held = min(levels, self.info.level_mask.bit_length())
+        if held not in self._messages:
+            self._messages[held] = BinaryMessage(self.restricted(held))
+        return self._messages[held]
 
     def forget_messages(self) -> None:
         """Free the shared messages; they are made again when needed."""
@@ -113,16 +110,16 @@ def stream_packet(sequence: int, epoch: int, data: bytes) -> StreamPacket:
     return StreamPacket(sequence, Position(epoch, info.to_version), info, data, time.monotonic())
 
 
-def binary_frame(data: bytes | memoryview) -> bytes:
+def binary_frame(data: bytes) -> bytes:
     """One unmasked websocket frame with a whole binary message (RFC 6455 section 5.2)."""
     return Frame(Opcode.BINARY, data).serialize(mask=False)
 
 
-def binary_fragments(data: bytes | memoryview, size_bytes: int) -> Iterator[bytes]:
-    """`data` as one message in frames that carry at most `size_bytes` each (RFC 6455 section 5.4)."""
-    for at in range(0, max(len(data), 1), size_bytes):
-        opcode = Opcode.BINARY if at == 0 else Opcode.CONT
-        yield Frame(opcode, data[at : at + size_bytes], fin=at + size_bytes >= len(data)).serialize(mask=False)
+def _fragments(data: memoryview) -> Iterator[bytes]:
+    """`data` as one message in frames that carry at most `PIECE_BYTES` each (RFC 6455 section 5.4)."""
+    for at in range(0, max(len(data), 1), PIECE_BYTES):
+        opcode, end = Opcode.CONT if at else Opcode.BINARY, at + PIECE_BYTES
+        yield Frame(opcode, data[at:end], fin=end >= len(data)).serialize(mask=False)
 
 
 def text_frame(message: str) -> bytes:
@@ -185,7 +182,7 @@ class PacketWindow:
 
     def after(self, sequence: int) -> StreamPacket | None:
         """The packet that comes next after packet `sequence`, if both are still in the window."""
-        index = self._index(sequence) + 1
+        index = sequence + 1 - self._packets[0].sequence if self._packets else 0
         return self._packets[index] if 0 <= index < len(self._packets) else None
 
     def read(self, first: Position, last: Position) -> list[StreamPacket]:
@@ -205,15 +202,9 @@ class PacketWindow:
         start = max((i for i, packet in enumerate(self._packets) if packet.is_key), default=0)
         del self._packets[start:], self._ends[start:]
 
-    def _index(self, sequence: int) -> int:
-        """Index at which packet `sequence` is or would be; below -1 if the packet after it is gone as well."""
-        return sequence - self._packets[0].sequence if self._packets else -2
-
-    def _group_end(self) -> int | None:
-        return next((i for i in range(1, len(self._packets)) if self._packets[i].is_key), None)
-
     def _drop_oldest_group(self) -> bool:
-        end = self._group_end()
+        """Forget the oldest group, unless it is the only one; returns whether it was not."""
+        end = next((i for i in range(1, len(self._packets)) if self._packets[i].is_key), None)
         if end is None:
             return False
         self._dropped_bytes = self._ends[end - 1]

@@ -40,7 +40,7 @@ from streamlod.server.http.static_page import PageFiles
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.service.docs_page import add_docs
 from streamlod.server.service.metrics import collector_registry
-from streamlod.server.service.openapi import describe, operation_id
+from streamlod.server.service.openapi import describe
 from streamlod.server.service.webhooks import Webhooks
 from streamlod.server.settings import Settings
 from streamlod.server.stream.traces import Traces
@@ -100,7 +100,7 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
 
     app = FastAPI(
         title="streamlod", version="1", description=_DESCRIPTION, lifespan=lifespan, docs_url=None, redoc_url=None,
-        generate_unique_id_function=operation_id,
+        generate_unique_id_function=lambda route: route.name,  # the function's, which stays when paths change
     )  # fmt: skip
     app.state.registry, app.state.posters, app.state.origin = registry, poster.Posters(), origin
     app.state.segment_numbers = WeakKeyDictionary()  # of each stream, as its playlists have named them

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 from prometheus_client import ProcessCollector
 from prometheus_client.core import CollectorRegistry, CounterMetricFamily, GaugeMetricFamily, Metric
@@ -49,6 +49,10 @@ _OF_STREAMS: tuple[Family, ...] = (
     (_COUNTER, "outbox_lost_packets", lambda s: s.bus.outbox.lost_packets if s.bus.outbox else 0,
      "packets that were not published to JetStream"),
 )  # fmt: skip
+_OF_NODES: tuple[Family, ...] = ((_GAUGE, "worker_info", lambda _: 1, "1, where a worker runs on a cluster"),)
+_REFUSED: tuple[Family, ...] = ((_COUNTER, "refused_tokens", lambda gate: gate.refused, "requests with a wrong token"),)
+_BUILD: tuple[Family, ...] = ((_GAUGE, "build_info", lambda _: 1, "1, with the version that runs"),)
+_TURNED_AWAY: tuple[Family, ...] = ((_COUNTER, "turned_away", lambda count: count, "connections that were closed"),)
 
 
 class StreamCollector(Collector):
@@ -68,33 +72,14 @@ class StreamCollector(Collector):
             name: stream for name, stream in self._registry.streams.items() if self._grant.allows(Right.METRICS, name)
         }
         yield from labelled(_OF_STREAMS, ("stream",), [((name,), stream) for name, stream in streams.items()])
-        yield _workers(streams)
+        nodes = [((name, stream.worker_node), stream) for name, stream in streams.items() if stream.worker_node]
+        yield from labelled(_OF_NODES, ("stream", "worker_node"), nodes)
         yield from ingest_families({name: stream.ingest for name, stream in streams.items()})
         if self._grant.covers_all:
-            yield from self._server_families()
-
-    def _server_families(self) -> Iterable[Metric]:
-        refused = CounterMetricFamily("streamlod_refused_tokens", "requests with a wrong token")
-        refused.add_metric([], self._registry.gate.refused)
-        yield refused
-        build = GaugeMetricFamily("streamlod_build_info", "1, with the version that runs", labels=["version"])
-        build.add_metric([streamlod_version()], 1)
-        yield build
-        away = CounterMetricFamily("streamlod_turned_away", "connections that were closed", labels=["reason"])
-        for reason, count in list(self._registry.turned_away.items()):
-            away.add_metric([reason], count)
-        yield away
-
-
-def _workers(streams: Mapping[str, Stream]) -> Metric:
-    """Which node of a cluster each worker runs on."""
-    family = GaugeMetricFamily(
-        "streamlod_worker_info", "1, where a worker runs on a cluster", labels=["stream", "worker_node"]
-    )
-    for name, stream in streams.items():
-        if stream.worker_node:
-            family.add_metric([name, stream.worker_node], 1)
-    return family
+            yield from labelled(_REFUSED, (), [((), self._registry.gate)])
+            yield from labelled(_BUILD, ("version",), [((streamlod_version(),), None)])
+            away = [((reason,), count) for reason, count in list(self._registry.turned_away.items())]
+            yield from labelled(_TURNED_AWAY, ("reason",), away)
 
 
 def collector_registry(registry: Registry, grant: Grant = EVERYTHING) -> CollectorRegistry:

@@ -6,18 +6,12 @@ from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
-from fastapi.routing import APIRoute
 
 from streamlod.server.http.problems import PROBLEM_TYPE, ProblemBody
 
 _OPEN_PATHS = {"/healthz", "/readyz"}  # need no token
 _BEARER = {"type": "http", "scheme": "bearer", "description": "a token of the token file, or a JSON web token"}
 _LINK = {"type": "apiKey", "in": "query", "name": "signature", "description": "of a signed link, with its other fields"}
-
-
-def operation_id(route: APIRoute) -> str:
-    """The function's name: it stays when paths change."""
-    return route.name
 
 
 def describe(app: FastAPI, *, needs_tokens: bool) -> dict[str, Any]:

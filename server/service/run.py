@@ -79,7 +79,7 @@ class Server(uvicorn.Server):
         before = self._registry.settings
         self._registry.adopt(settings)
         limits = self._handshakes.limits = self._registry.settings.limits
-        _allow_descriptors(_descriptors(self._registry.settings))
+        _allow_descriptors(self._registry.settings)
         for protocol in (self.config.http_protocol_class, self.config.ws_protocol_class):
             protocol.limits = limits  # type: ignore[union-attr]
         self.config.ws_max_size, self.config.limit_concurrency = limits.message_bytes, limits.connections
@@ -113,7 +113,7 @@ def serve(settings: Settings, streams: Sequence[StreamSpec], read_settings: Call
     os.environ[LOG_FORMAT_VARIABLE] = settings.log_format
     log_in_background()
     bound_arenas()
-    _allow_descriptors(_descriptors(settings))
+    _allow_descriptors(settings)
     listener = bind(settings.host, settings.port)
     try:
         app = create_app(settings, tuple(streams))
@@ -177,17 +177,14 @@ def _is_no_cancellation(record: logging.LogRecord) -> bool:
     return record.exc_info is None or not isinstance(record.exc_info[1], asyncio.CancelledError)
 
 
-def _descriptors(settings: Settings) -> int:
-    """How many files and sockets the server may need at once."""
-    return (3 if settings.certificate else 2) * settings.limits.connections + _OTHER_DESCRIPTORS
-
-
-def _allow_descriptors(count: int) -> None:
-    """Let the process open so many files and sockets; the usual 1024 are used up before the server's own limits."""
+def _allow_descriptors(settings: Settings) -> None:
+    """Let the process open as many files and sockets as the server may need at once; the usual 1024 are used up before
+    the server's own limits."""
     if sys.platform == "win32":
         return
     import resource
 
+    count = (3 if settings.certificate else 2) * settings.limits.connections + _OTHER_DESCRIPTORS
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     most = count if hard == resource.RLIM_INFINITY else min(count, hard)
     if soft != resource.RLIM_INFINITY and soft < most:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 import ipaddress
-import os
 import socket
 from pathlib import Path
 
@@ -44,9 +43,5 @@ def write_self_signed(certificate: Path, key: Path, address: str) -> None:
         .sign(secret, hashes.SHA256())
     )
     form = serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
-    before = os.umask(0o077)
-    try:
-        write_bytes(key, secret.private_bytes(serialization.Encoding.PEM, *form))
-    finally:
-        os.umask(before)
+    write_bytes(key, secret.private_bytes(serialization.Encoding.PEM, *form), private=True)
     write_bytes(certificate, made.public_bytes(serialization.Encoding.PEM))

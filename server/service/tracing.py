@@ -13,7 +13,6 @@ import os
 import socket
 from collections.abc import AsyncIterator, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager
-from dataclasses import dataclass
 from typing import Literal
 
 from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
@@ -40,11 +39,11 @@ async def tracing(endpoint: str, role: Literal["server", "edge"], traces: Traces
     """Send what `traces` tells to the collector at `endpoint` while the context lasts; `role` names this server."""
     address = endpoint.rstrip("/") + "/v1/traces"
     with _kept_out_of_the_log() as faults:
-        exporter, resources = _Exporter(address, faults), _Resources.of(role)
+        exporter, (here, worker) = _Exporter(address, faults), _resources(role)
         processor = BatchSpanProcessor(exporter)
 
         def tell(frame: FrameStages) -> None:
-            for span in _spans(frame, resources):
+            for span in _spans(frame, here, worker):
                 processor.on_end(span)
 
         traces.listeners.add(tell)
@@ -103,23 +102,16 @@ class _Exporter(OTLPSpanExporter):
         return result
 
 
-@dataclass(frozen=True, slots=True)
-class _Resources:
+def _resources(role: str) -> tuple[Resource, Resource]:
     """The processes that do the work: this one, and the worker that makes its frames."""
-
-    here: Resource
-    worker: Resource
-
-    @classmethod
-    def of(cls, role: str) -> _Resources:
-        about: dict[str, AttributeValue] = {"service.version": streamlod_version()}
-        host: dict[str, AttributeValue] = {"host.name": socket.gethostname(), "process.pid": os.getpid()}
-        here = Resource({"service.name": f"streamlod-{role}"} | about | host)
-        return cls(here, Resource({"service.name": "streamlod-worker"} | about))
+    about: dict[str, AttributeValue] = {"service.version": streamlod_version()}
+    host: dict[str, AttributeValue] = {"host.name": socket.gethostname(), "process.pid": os.getpid()}
+    here = Resource({"service.name": f"streamlod-{role}"} | about | host)
+    return here, Resource({"service.name": "streamlod-worker"} | about)
 
 
-def _spans(frame: FrameStages, resources: _Resources) -> Iterator[ReadableSpan]:
-    """The span of the whole way, where the frame was made here, and those of its stages."""
+def _spans(frame: FrameStages, here: Resource, worker: Resource) -> Iterator[ReadableSpan]:
+    """The span of the whole way, where the frame was made `here`, and those of its stages."""
     place = frame.position
     digest = hashlib.sha256(f"{frame.incarnation}/{place.epoch}/{place.version}".encode()).digest()
     trace_id, root_id = int.from_bytes(digest[:16]), int.from_bytes(digest[16:24])
@@ -137,10 +129,10 @@ def _spans(frame: FrameStages, resources: _Resources) -> Iterator[ReadableSpan]:
             start_time=stage.begin_ns, end_time=stage.end_ns, instrumentation_scope=_SCOPE,
         )  # fmt: skip
 
-    stages = [(each, resources.worker) for each in frame.worker] + [(each, resources.here) for each in frame.server]
+    stages = [(each, worker) for each in frame.worker] + [(each, here) for each in frame.server]
     if frame.is_origin:
         begin_ns, end_ns = min(each.begin_ns for each, _ in stages), max(each.end_ns for each, _ in stages)
-        yield span(Stage("frame", begin_ns, end_ns), root, None, resources.here)
+        yield span(Stage("frame", begin_ns, end_ns), root, None, here)
     for stage, resource in stages:
         context = SpanContext(trace_id, _IDS.generate_span_id(), is_remote=False, trace_flags=_SAMPLED)
         yield span(stage, context, root, resource)

@@ -81,7 +81,7 @@ async def played_segment(stream: StreamOf, number: _Number, request: Request) ->
         raise Problem(404, f"the recording has {len(groups)} groups of pictures")
     changed_ns = (await asyncio.to_thread(stream.played_file.stat)).st_mtime_ns
     pieces, state = groups[number].pieces(stream.played_file), f"{stream.id} {changed_ns} {number}"
-    return respond(request, _segment(pieces, digest(state.encode()), FRESH, f"{stream.id}-{number}.m4s"))
+    return _segment(request, pieces, state, FRESH, f"{stream.id}-{number}.m4s")
 
 
 @router.get(
@@ -107,7 +107,7 @@ async def segment(
     except (StreamlodError, KeyError, ValueError) as error:
         raise Problem(404, "that group of pictures cannot be read") from error
     state = f"{incarnation} {epoch} {first} {groups[number].last} {end_of(groups, number)}"
-    return respond(request, _segment(pieces, digest(state.encode()), IMMUTABLE, f"{stream.id}-{epoch}-{first}.m4s"))
+    return _segment(request, pieces, state, IMMUTABLE, f"{stream.id}-{epoch}-{first}.m4s")
 
 
 @router.get(
@@ -126,8 +126,7 @@ async def part(
         raise Problem(404, "that is not retained, or not complete yet")
     pieces = segment_of(packets[:-1], packets[-1].info.time_ns // 1000)
     state = f"{incarnation} {epoch} {first} {last}"
-    name = f"{stream.id}-{epoch}-{first}-{last}.m4s"
-    return respond(request, _segment(pieces, digest(state.encode()), IMMUTABLE, name))
+    return _segment(request, pieces, state, IMMUTABLE, f"{stream.id}-{epoch}-{first}-{last}.m4s")
 
 
 async def _retained(stream: Stream, numbers: SegmentNumbers) -> Playlist:
@@ -193,5 +192,6 @@ def _read_played(
         return groups_of(reader.entries, packets), settings
 
 
-def _segment(pieces: tuple[Piece, ...], etag: str, caching: str, name: str) -> Download:
-    return Download(pieces, etag, SEGMENT_TYPE, caching, name)
+def _segment(request: Request, pieces: tuple[Piece, ...], state: str, caching: str, name: str) -> Response:
+    """The answer with a segment, which stays the same for as long as `state` does."""
+    return respond(request, Download(pieces, digest(state.encode()), SEGMENT_TYPE, caching, name))
