@@ -47,43 +47,42 @@ def table_of(calibration: Calibration) -> str:
 
 def advice_of(calibration: Calibration) -> Iterator[str]:
     """Sentences about what is weak, and where the world lies."""
-    for number, camera in enumerate(calibration.cameras):
+    names = [camera.name for camera in calibration.cameras]
+    for number, name in enumerate(names):
         cells = _cells(calibration, number)
         if cells.mean() < _WEAK_SEEN:
             seen = cells.reshape(2, DOWN // 2, 2, ACROSS // 2).mean(axis=(1, 3))  # of each quarter
             yield (
-                f"{camera.name} saw the board in {100 * cells.mean():.0f} % of its picture, least in its "
+                f"{name} saw the board in {100 * cells.mean():.0f} % of its picture, least in its "
                 f"{QUARTERS[seen.argmin()]}: walk the board there to know its lens better"
             )
         degrees, metres = calibration.errors[number]
         if degrees > _WEAK_DEGREES:
             yield (
-                f"{camera.name} is known to {degrees:.2f} degrees and {1000 * metres:.0f} mm only: walk longer, and "
+                f"{name} is known to {degrees:.2f} degrees and {1000 * metres:.0f} mm only: walk longer, and "
                 "nearer to it, where another camera sees the board too"
             )
         if calibration.rms(number) > _WEAK_PIXELS:
             yield (
-                f"{camera.name} has a reprojection error of {calibration.rms(number):.1f} pixels: blur, a board that "
+                f"{name} has a reprojection error of {calibration.rms(number):.1f} pixels: blur, a board that "
                 "is not flat, or pictures at other times than stated"
             )
-    if calibration.guessed.any():
-        names = (
-            camera.name for camera, guessed in zip(calibration.cameras, calibration.guessed, strict=True) if guessed
-        )
+    if guessed := np.flatnonzero(calibration.guessed).tolist():
         yield (
-            f"{spoken(names)}: the offset may be wrong by a frame or more, as the board was held still where another "
-            "camera saw it too; walk it there without a stop, or clap once where all hear it"
+            f"{spoken(names[number] for number in guessed)}: the offset may be wrong by a frame or more, as the board "
+            "was held still where another camera saw it too; walk it there without a stop, or clap once where all hear "
+            "it"
         )
     if uneven := {number: seconds for number, seconds in enumerate(calibration.uneven) if seconds > _WEAK_SECONDS}:
         yield (
-            f"{spoken(calibration.cameras[number].name for number in uneven)}: pictures were taken up to "
+            f"{spoken(names[number] for number in uneven)}: pictures were taken up to "
             f"{1000 * max(uneven.values()):.0f} ms earlier or later than their times say, which the calibration allows "
             "for: end other programs, or film at a constant rate"
         )
     read = np.abs(calibration.readouts).max(axis=1)
     if slow := [number for number, seconds in enumerate(read) if seconds > _SLOW_READOUT]:
         yield (
-            f"{spoken(calibration.cameras[number].name for number in slow)}: a picture is read line by line in up to "
+            f"{spoken(names[number] for number in slow)}: a picture is read line by line in up to "
             f"{1000 * read.max():.0f} ms, which the calibration allows for; what moves fast is slanted in it"
         )
     if calibration.floor_by_board:

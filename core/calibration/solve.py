@@ -9,9 +9,10 @@ import numpy as np
 
 from streamlod.core.arrays import Bool, Float64
 from streamlod.core.calibration.adjustment import rigid
-from streamlod.core.calibration.adjustment.adjust import Adjusted, AdjustedRig, Known, adjust, misses_of
+from streamlod.core.calibration.adjustment.adjust import Adjusted, Known, adjust
 from streamlod.core.calibration.adjustment.observations import Observations, observed
 from streamlod.core.calibration.adjustment.projection import matrix_of
+from streamlod.core.calibration.adjustment.residuals import AdjustedRig, misses_of
 from streamlod.core.calibration.adjustment.timing import UnevenTimes, uneven_times
 from streamlod.core.calibration.apart import in_turn
 from streamlod.core.calibration.board.description import Board

@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 from scipy.sparse import csr_matrix
 
 from streamlod.core.arrays import Float64
-from streamlod.core.calibration.adjustment import adjust as bundle
+from streamlod.core.calibration.adjustment import residuals as bundle
 from streamlod.core.calibration.adjustment import rigid
 from streamlod.core.calibration.adjustment.bounds import LinearBounds
 from streamlod.core.calibration.adjustment.minimise import minimise
@@ -43,12 +43,12 @@ def test_jacobian_of_the_adjustment_is_that_of_its_residuals() -> None:
     readouts = np.array([[0.002, 0.03], [-0.02, 0.004]])
     scene = bundle.AdjustedRig(truth.lenses, truth.poses, np.array([0.01, -0.02]), readouts, board_at(times))
     seen = observed(tracks, times, scene.offsets, BOARD.corners)
-    flat = bundle._flat(scene)
-    jacobian = bundle._jacobian(scene, seen, len(flat)).toarray()
+    flat = bundle.flat_values(scene)
+    jacobian = bundle.jacobian_of(scene, seen, len(flat)).toarray()
     for place in range(len(flat)):
         step = np.zeros(len(flat))
         step[place] = 1e-6
-        after, before = (bundle.misses_of(bundle._scene(flat + s, 2), seen).ravel() for s in (step, -step))
+        after, before = (bundle.misses_of(bundle.scene_of(flat + s, 2), seen).ravel() for s in (step, -step))
         np.testing.assert_allclose(jacobian[:, place], (after - before) / 2e-6, rtol=1e-4, atol=2e-3)
 
 
