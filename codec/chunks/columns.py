@@ -7,18 +7,17 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
-from streamlod.codec.chunks.plain import row_count
 from streamlod.codec.coder import class_model
 from streamlod.codec.coder.entropy import corrupt, decode_scales, encode_items, encode_scales, words_of
 from streamlod.codec.coder.rans import MAX_VALUE
 from streamlod.codec.coder.trend import restore, trend_errors
-from streamlod.codec.packet.limits import Room
 from streamlod.core.arrays import Int32, Int64
 from streamlod.core.errors import BitstreamError
 from streamlod.core.scene.quantise import trailing_zeros
 
 _AS_IS, _CENTRED, _TREND = 0, 1, 2
 _COUNT = struct.Struct("<I")
+BEHIND_COUNT = 1 + _COUNT.size  # where the fields of a chunk with a row count begin
 _MIN_CLASS_ROWS = 16  # rows that are worth a class of their own
 
 
@@ -113,13 +112,6 @@ def _unpack_classes(data: bytes, at: int) -> tuple[Int64, int]:
     if len(data) <= at or data[at] == 0:
         raise corrupt("a chunk has no class of rows")
     return np.flatnonzero(data[at] >> np.arange(class_model.MAX_CLASSES) & 1), at + 1
-
-
-def decode_counted(data: bytes, room: Room, channels: int, shifted: slice) -> Int32:
-    """[n, channels] of a chunk that begins with its row count; also `limit_exceeded`."""
-    rows = row_count(data)
-    room.check_added(rows, channels)
-    return decode(data, 1 + _COUNT.size, rows, channels, shifted)
 
 
 def _pack_modes(modes: Int64) -> bytes:

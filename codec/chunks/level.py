@@ -123,11 +123,13 @@ def encode_added(level: AnchorLevel, profile: int) -> bytes:
 
 def decode_added(data: bytes, profile: int, header: SceneHeader, room: Room) -> AnchorLevel:
     """The rows of an ADDED chunk."""
-    channels = added_channels(header)
-    if coding_of(data, profile):
-        return level_from_added(header, columns.decode_counted(data, room, channels, shifted_channels(header, 3)))
-    room.check_added(plain.row_count(data), channels)
-    return level_from_added(header, plain.decode_plain(data, channels))
+    channels, coding, rows = added_channels(header), coding_of(data, profile), plain.row_count(data)
+    room.check_added(rows, channels)
+    if coding:
+        matrix = columns.decode(data, columns.BEHIND_COUNT, rows, channels, shifted_channels(header, 3))
+    else:
+        matrix = plain.decode_plain(data, channels)
+    return level_from_added(header, matrix)
 
 
 def _gaps(rows: Int64) -> Int64:

@@ -11,7 +11,7 @@ from streamlod.core.scene.anchors import SceneHeader
 
 
 def padded(chunks: list[Chunk], header: SceneHeader, rows: int) -> list[Chunk]:
-    """The chunks of one level, with one more of zeros if without it they would be refused.
+    """The chunks of one level, followed by a chunk of zeros where a decoder would refuse them without it.
 
     Args:
         rows: of the level, where it is a keyframe's.

@@ -45,7 +45,7 @@ class Playlist:
         parts: those of the group that is not whole yet.
         first: number of the first segment; numbers never come back while segments leave at the front.
         runs_before: encoder runs that have left at the front.
-        longest: seconds that no segment lasts longer than.
+        longest: an upper bound on the seconds that a segment lasts.
         is_complete: whether nothing will be added.
     """
 

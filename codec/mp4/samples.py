@@ -39,13 +39,13 @@ def microseconds(time_ns: int) -> int:
 
 
 def samples_of(entries: Sequence[Entry], end: int | None = None) -> list[Sample]:
-    """The samples that carry packets that lie one after the other.
+    """The samples that carry these packets, which lie one after the other.
 
-    A packet whose time is not later than that of the sample before belongs to that sample, unless it is another
-    keyframe: that begins one, a microsecond later if need be, as times have to grow.
+    A packet that is not later than the current sample belongs to it, unless it begins another keyframe. That begins a
+    new sample, at least a microsecond after the one before, as times have to grow.
 
     Args:
-        end: time at which the last sample ends, in microseconds; as long as the one before by default.
+        end: when the last sample ends, in microseconds; by default it lasts as long as the one before it.
     """
     begins = list(_begins(entries))
     found: list[Sample] = []

@@ -42,8 +42,8 @@ class OpusPacket:
     """A packet.
 
     Attributes:
-        time: of its first sample, in samples at 48 kHz on the clock of the packets of scenes, the `pre_skip` at the
-            beginning of all counted.
+        time: of its first sample, in samples at 48 kHz on the clock of the scenes' packets; the `pre_skip` at the
+            beginning of the stream counts, too.
         samples: that it holds, at 48 kHz.
     """
 
@@ -103,7 +103,7 @@ def sound_file(settings: OpusSettings, packets: Sequence[OpusPacket], camera: st
 
 
 class PacketWriter:
-    """Writes a file of sound as it comes; what has been written can be read at any time, within a second.
+    """Writes a file of sound as it comes; what was written can be read at any time, but for the last second.
 
     Args:
         path: of the file; or a buffer.

@@ -165,26 +165,25 @@ def need(right: Right) -> Any:
     return Depends(check)
 
 
-def need_download() -> Any:
-    """A dependency that lets a download pass with the right to read, or an address that was signed."""
+async def _check_download(request: Request) -> None:
+    """Let a download pass with the right to read, or by an address that was signed."""
+    gate, begin = registry_of(request).gate, time.monotonic()
+    gate.look()
+    stream_id = request.path_params["stream_id"]
+    if "signature" not in request.query_params:
+        await check_right(request, Right.READ, stream_id)
+        return
+    _check_address(gate, request)
+    stream = registry_of(request).streams.get(stream_id)
+    incarnation = "" if stream is None else stream.incarnation
+    if gate.links.allows(request.url.path, request.query_params, incarnation):
+        return
+    if gate.links.has_ended(request.url.path, request.query_params):  # no guess: players go on asking
+        raise Problem(401, LINK_ENDED, {"WWW-Authenticate": "Bearer"})
+    raise await _refused(gate, request, begin)
 
-    async def check(request: Request) -> None:
-        gate, begin = registry_of(request).gate, time.monotonic()
-        gate.look()
-        stream_id = request.path_params["stream_id"]
-        if "signature" not in request.query_params:
-            await check_right(request, Right.READ, stream_id)
-            return
-        _check_address(gate, request)
-        stream = registry_of(request).streams.get(stream_id)
-        incarnation = "" if stream is None else stream.incarnation
-        if gate.links.allows(request.url.path, request.query_params, incarnation):
-            return
-        if gate.links.has_ended(request.url.path, request.query_params):  # no guess: players go on asking
-            raise Problem(401, LINK_ENDED, {"WWW-Authenticate": "Bearer"})
-        raise await _refused(gate, request, begin)
 
-    return Depends(check)
+NEED_DOWNLOAD: Any = Depends(_check_download)
 
 
 def find_stream(stream_id: str, request: Request) -> Stream:

@@ -13,7 +13,7 @@ from streamlod.codec.container import FilePart, joined, size_of
 from streamlod.codec.sound.beside import MAX_TIME_NS, MEDIA_TYPE, find_sound
 from streamlod.codec.sound.packets import sound_file
 from streamlod.core.errors import InputError, StreamlodError
-from streamlod.server.api.access import StreamOf, need_download
+from streamlod.server.api.access import NEED_DOWNLOAD, StreamOf
 from streamlod.server.api.ranges import FRESH, IMMUTABLE, Download, WallClock, respond
 from streamlod.server.http.problems import Problem, problems
 from streamlod.server.protocol.packets import Position
@@ -31,8 +31,8 @@ ANSWERS: dict[int | str, dict[str, Any]] = {
 Epoch = Annotated[int, Path(ge=0, le=_MAX_NUMBER, description="encoder run", examples=[1])]
 Version = Annotated[int, Path(ge=0, le=_MAX_NUMBER, description="number of the state in its epoch", examples=[0])]
 
-router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[need_download()])
-played = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[need_download()])
+router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[NEED_DOWNLOAD])
+played = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[NEED_DOWNLOAD])
 
 
 RECORDING, SOUND = "/recording", "/sound"

@@ -11,7 +11,7 @@ from fastapi.responses import StreamingResponse
 
 from streamlod.codec.mp4.playlist import MEDIA_TYPE, with_query
 from streamlod.codec.sound.beside import MAX_TIME_NS
-from streamlod.server.api.access import StreamOf, need_download
+from streamlod.server.api.access import NEED_DOWNLOAD, StreamOf
 from streamlod.server.api.downloads import ANSWERS, RECORDING, SOUND
 from streamlod.server.api.hls.routes import HLS
 from streamlod.server.api.ranges import FRESH, caching
@@ -30,7 +30,7 @@ _SEGMENTS = r"(recording|[0-9a-f]{16}/[0-9]{1,10})/(parts/[0-9]{1,10}-)?[0-9]{1,
 TimeNs = Annotated[int, Query(ge=0, le=MAX_TIME_NS, description="of live sound, as packets count")]
 _NAMES = rf"^(index\.m3u8|init\.mp4|{_SEGMENTS})$"  # below HLS, and nothing that leads out of it
 
-router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[need_download()])
+router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[NEED_DOWNLOAD])
 
 
 @router.get(

@@ -18,7 +18,7 @@ from streamlod.codec.mp4.segment import beginning
 from streamlod.codec.sound.beside import find_sound
 from streamlod.codec.sound.packets import OpusSettings
 from streamlod.core.errors import StreamlodError
-from streamlod.server.api.access import StreamOf, need_download
+from streamlod.server.api.access import NEED_DOWNLOAD, StreamOf
 from streamlod.server.api.downloads import (
     ANSWERS,
     Epoch,
@@ -40,7 +40,7 @@ from streamlod.server.stream.stream import Stream
 
 HLS = "/hls"
 _BRIEF = "max-age=1"  # of a playlist that grows: a shared cache may answer all who ask within a second
-router = APIRouter(prefix="/v1/streams/{stream_id}" + HLS, tags=["downloads"], dependencies=[need_download()])
+router = APIRouter(prefix="/v1/streams/{stream_id}" + HLS, tags=["downloads"], dependencies=[NEED_DOWNLOAD])
 _Number = Annotated[int, Path(ge=0, le=2**32 - 1, description="of the group of pictures in the file", examples=[0])]
 
 
