@@ -71,19 +71,15 @@ def _is_readable(path: Path, settings: Settings, grant: Grant) -> bool:
 def _check_rig(rig: dict[str, Any], settings: Settings, grant: Grant) -> None:
     if rig.get("calibration") is not None:
         _check_path("live.calibration", rig["calibration"], settings, grant)
-    cameras = rig.get("cameras")
-    for number, camera in enumerate(cameras if isinstance(cameras, list) else []):
-        source = camera.get("source") if isinstance(camera, dict) else None
-        if isinstance(source, str):
-            _check_source(f"live.cameras.{number}.source", source, settings, grant)
+    listed, names = rig.get("cameras"), []
+    for number, camera in enumerate(listed if isinstance(listed, list) else []):
+        if isinstance(camera, dict):
+            names.append(camera.get("name"))
+            if isinstance(source := camera.get("source"), str):
+                _check_source(f"live.cameras.{number}.source", source, settings, grant)
     sound = rig.get("sound")
-    if isinstance(sound, str) and not _is_camera(sound, cameras):
+    if isinstance(sound, str) and sound not in names:
         _check_source("live.sound", sound, settings, grant)
-
-
-def _is_camera(name: str, cameras: object) -> bool:
-    listed = cameras if isinstance(cameras, list) else []
-    return any(isinstance(camera, dict) and camera.get("name") == name for camera in listed)
 
 
 def _check_source(name: str, source: str, settings: Settings, grant: Grant) -> None:

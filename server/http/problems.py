@@ -76,10 +76,9 @@ _PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><meta name="view
 <h1>{title}</h1><p>{detail}</p><p><a href="/">To the viewer</a></p></html>"""
 
 
-def problem_page(status: int, detail: str) -> HTMLResponse:
-    """The same for people, who came here by a link that is wrong."""
-    title = TITLES.get(status, "Error")
-    return HTMLResponse(_PAGE.format(title=html.escape(title), detail=html.escape(detail)), status)
+def not_found_page(detail: str) -> HTMLResponse:
+    """A 404 for people, who came here by a link that is wrong."""
+    return HTMLResponse(_PAGE.format(title=TITLES[404], detail=html.escape(detail)), 404)
 
 
 def problem_response(status: int, detail: str, headers: dict[str, str] | None = None) -> JSONResponse:

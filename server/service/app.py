@@ -34,7 +34,7 @@ from streamlod.server.edge.pull import OriginSource
 from streamlod.server.http.access_log import AccessLog
 from streamlod.server.http.head import HeadAsGet
 from streamlod.server.http.networks import check_places
-from streamlod.server.http.problems import Problem, problem_page, problem_response, problems
+from streamlod.server.http.problems import Problem, not_found_page, problem_response, problems
 from streamlod.server.http.site_policy import SitePolicy
 from streamlod.server.http.static_page import PageFiles
 from streamlod.server.pipeline.spec import StreamSpec
@@ -175,17 +175,17 @@ def _add_errors(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     async def http(request: Request, error: HTTPException) -> Response:
-        allowed = _allowed(app, request.url.path) if error.status_code in {404, 405} else []
-        if allowed and request.method not in allowed:  # the page's files lie behind and know of no other methods
-            return problem_response(405, "this address takes other methods", {"Allow": ", ".join(allowed)})
         if error.status_code in {404, 405}:
+            allowed = _allowed(app, request.url.path)
+            if allowed and request.method not in allowed:  # the page's files lie behind and know of no other methods
+                return problem_response(405, "this address takes other methods", {"Allow": ", ".join(allowed)})
             detail = f"there is nothing at {request.url.path[:200]}"
             if request.url.path.startswith("/v1/"):
                 return problem_response(404, detail)
             if error.status_code == 405:
                 return problem_response(405, "this address takes other methods", dict(error.headers or {}))
             wants_page = "text/html" in request.headers.get("accept", "")
-            return problem_page(404, detail) if wants_page else problem_response(404, detail)
+            return not_found_page(detail) if wants_page else problem_response(404, detail)
         if error.status_code == 400:  # of the framework alone, which could not read the body
             return problem_response(400, "the body is no JSON, or not in UTF-8, or nested too deeply")
         return problem_response(error.status_code, str(error.detail), dict(error.headers or {}))
