@@ -15,8 +15,8 @@ import numpy as np
 from streamlod.core.arrays import Float64
 from streamlod.core.camera import Camera, look_at, pinhole
 from streamlod.core.camera.view import COUNT, camera_of_view, view_in
+from streamlod.core.data.files import read_bytes
 from streamlod.core.errors import InputError
-from streamlod.core.files import read_bytes
 from streamlod.core.scene.anchors import SceneHeader
 
 CameraPath = Callable[[int], Camera]  # picture number to camera

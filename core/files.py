@@ -1,7 +1,7 @@
-"""Whole files: read within a limit, and written whole or not at all, even if the process or the machine stops.
+"""Files that are written whole or not at all, even if the process or the machine stops in between.
 
-What is written goes to a temporary file in the same folder, is flushed to the disk, and only then takes the name of the
-file, in one step of the file system. What is interrupted leaves the earlier file as it was.
+The bytes go to a temporary file in the same folder, are flushed to the disk, and only then take the name of the file,
+in one step of the file system. What is interrupted leaves the earlier file as it was.
 """
 
 from __future__ import annotations
@@ -13,16 +13,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from streamlod.core.errors import InputError
-
-
-def read_bytes(path: Path, max_bytes: int) -> bytes:
-    """The file's bytes; InputError if it is missing or larger than `max_bytes`."""
-    try:
-        if path.stat().st_size > max_bytes:
-            raise InputError(path, f"is larger than {max_bytes >> 20} MiB, the limit for such a file")
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(path, f"cannot be read: {error.strerror}") from error
 
 
 def check_output(path: Path) -> None:

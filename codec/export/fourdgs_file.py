@@ -20,7 +20,6 @@ from streamlod.codec.export.ply import unit_quaternions
 from streamlod.codec.export.upright import turned
 from streamlod.core.arrays import Float32, Float64, Int64
 from streamlod.core.errors import InputError
-from streamlod.core.files import read_bytes
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.gaussians import GaussianCloud, as_cloud, concatenate
 from streamlod.core.scene.metadata import Metadata
@@ -179,7 +178,11 @@ def read_clip(path: Path, fps: float, up: str | None) -> Iterator[GaussianCloud]
     """
     fourdgs = library()
     try:
-        clip = fourdgs.read(read_bytes(path, MAX_BYTES), recover_truncated=False)
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(path, f"is larger than {MAX_BYTES} bytes")
+        clip = fourdgs.read(path.read_bytes(), recover_truncated=False)
+    except OSError as error:
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
     except (fourdgs.FourdgsError, ValueError) as error:
         raise InputError(path, f"is no .4dgs file that can be read: {error}") from error
     system = clip.header.attributes.get("coordinate_system", "")

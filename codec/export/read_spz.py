@@ -12,7 +12,6 @@ from streamlod.codec.export import spz4
 from streamlod.codec.export.ply import SH_C0
 from streamlod.core.arrays import Float32, UInt8
 from streamlod.core.errors import InputError
-from streamlod.core.files import read_bytes
 from streamlod.core.scene.gaussians import GaussianCloud, as_cloud
 
 MAX_GAUSSIANS = 20_000_000
@@ -30,7 +29,12 @@ def decode_spz(path: Path) -> GaussianCloud:
     Raises:
         InputError: the file cannot be read, is damaged, too large, or of another version.
     """
-    data = read_bytes(path, _MAX_BYTES)
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise InputError(path, f"is larger than {_MAX_BYTES} bytes")
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
     if data.startswith(_MAGIC):
         version, count, bits = _announced(path, data, (4,))
         body = spz4.unpack(path, data, [count * size for size in _COLUMNS[version]])

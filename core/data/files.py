@@ -15,7 +15,6 @@ import numpy as np
 
 from streamlod.core.arrays import Float64
 from streamlod.core.errors import InputError
-from streamlod.core.files import read_bytes
 
 MAX_TEXT_BYTES = 256 << 20
 
@@ -29,6 +28,16 @@ def blaming(path: Path) -> Iterator[None]:
         if error.subject == str(path):
             raise
         raise InputError(path, str(error)) from error
+
+
+def read_bytes(path: Path, max_bytes: int) -> bytes:
+    """The file's bytes; InputError if it is missing or larger than `max_bytes`."""
+    try:
+        if path.stat().st_size > max_bytes:
+            raise InputError(path, f"is larger than {max_bytes >> 20} MiB, the limit for such a file")
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(path, f"cannot be read: {error.strerror}") from error
 
 
 def read_text(path: Path, undecodable: str = "strict") -> str:

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from streamlod.core.arrays import UInt8
 from streamlod.core.data.announced import AnnouncedPicture, announced_picture
+from streamlod.core.data.files import read_bytes
 from streamlod.core.data.names import files_in, listed
 from streamlod.core.errors import InputError
-from streamlod.core.files import read_bytes
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
 _NOT_READ = (".webp", ".heic", ".heif", ".avif", ".jxl", ".tif", ".tiff", ".bmp", ".gif", ".exr", ".dng", ".tga")

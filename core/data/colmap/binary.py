@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from streamlod.core.data.colmap.types import MODEL_NAMES, ColmapCamera, ColmapImage, colmap_image, parameter_count
+from streamlod.core.data.files import read_bytes
 from streamlod.core.errors import InputError
-from streamlod.core.files import read_bytes
 
 MAX_BYTES = 4 << 30
 _COUNT = struct.Struct("<Q")

@@ -26,11 +26,11 @@ from streamlod.core.camera import Camera
 from streamlod.core.camera.space import UNCHANGED, Similarity, training_space
 from streamlod.core.data import open_dataset
 from streamlod.core.data.dataset import RawRecording
+from streamlod.core.data.files import read_bytes
 from streamlod.core.data.pictures import MAX_SIDE
 from streamlod.core.data.sources import Videos
 from streamlod.core.errors import InputError
 from streamlod.core.field_faults import first_fault, matching
-from streamlod.core.files import read_bytes
 from streamlod.core.frames import PointCloud
 from streamlod.core.options import MAX_CAMERAS
 from streamlod.server.ingest.cameras.address import CAMERA_NAME, CAMERA_NAME_WORDS, Address, parse_address
