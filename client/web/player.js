@@ -51,7 +51,10 @@
       if (poster === null) return root.replaceChildren(style, this.#open(), slot);
       const cover = document.createElement("button");
       cover.setAttribute("aria-label", "Play");
-      cover.append(Object.assign(new Image(), { src: poster, alt: "" }), Object.assign(document.createElement("span"), { textContent: "▶" }));
+      cover.append(
+        Object.assign(new Image(), { src: poster, alt: "" }),
+        Object.assign(document.createElement("span"), { textContent: "▶" }),
+      );
       cover.onclick = () => root.replaceChildren(style, this.#open(), slot);
       root.replaceChildren(style, cover);
     }
@@ -83,7 +86,10 @@
         this.addEventListener("ready", () => resolve(), { once: true });
         this.#timer = setTimeout(() => reject(new Error(SILENT)), READY_MS);
       });
-      this.#ready.then(() => clearTimeout(this.#timer), (error) => this.#fail(error));
+      this.#ready.then(
+        () => clearTimeout(this.#timer),
+        (error) => this.#fail(error),
+      );
       return (this.#frame = frame);
     }
 
@@ -115,7 +121,10 @@
       const id = ++this.#asked;
       return new Promise((resolve, reject) => {
         this.#calls.set(id, { resolve, reject });
-        this.#frame?.contentWindow?.postMessage({ streamlod: method, version: VERSION, arguments: all, id }, base.origin);
+        this.#frame?.contentWindow?.postMessage(
+          { streamlod: method, version: VERSION, arguments: all, id },
+          base.origin,
+        );
       });
     }
   }

@@ -11,7 +11,8 @@ import { bin } from "./tables.js";
 /** @typedef {{ rows: Uint32Array, position: Int32Array, latent: Int32Array }} Change */
 /** @typedef {{ age: number, span: number }} Elapsed - frames from the keyframe to the state before the change, and from that to the state after it */
 
-const BLOCK = 64, MAX_SPAN = 255;
+const BLOCK = 64,
+  MAX_SPAN = 255;
 
 /** @type {() => Change} */
 export const noChange = () => ({ rows: new Uint32Array(0), position: new Int32Array(0), latent: new Int32Array(0) });
@@ -21,8 +22,10 @@ export function decodeChange(chunk, level, elapsed, room) {
   const reader = new Reader(chunk);
   const coding = reader.u8();
   if (coding === 0) {
-    const count = existing(reader, 4 + LATENTS, level, room), columns = inflateColumns(reader, count, 4 + LATENTS);
-    const position = new Int32Array(3 * count), latent = new Int32Array(LATENTS * count);
+    const count = existing(reader, 4 + LATENTS, level, room),
+      columns = inflateColumns(reader, count, 4 + LATENTS);
+    const position = new Int32Array(3 * count),
+      latent = new Int32Array(LATENTS * count);
     for (let i = 0; i < count; i++) {
       for (let j = 0; j < 3; j++) position[3 * i + j] = columns[(1 + j) * count + i];
       for (let j = 0; j < LATENTS; j++) latent[LATENTS * i + j] = columns[(4 + j) * count + i];
@@ -52,7 +55,10 @@ export function decodeRemoved(chunk, level, room) {
   return rows;
 }
 
-/** The row count of a table of a level's own rows. @type {(reader: Reader, columns: number, level: Level, room: Room) => number} */
+/**
+ * The row count of a table of a level's own rows.
+ * @type {(reader: Reader, columns: number, level: Level, room: Room) => number}
+ */
 function existing(reader, columns, level, room) {
   const rows = rowCount(reader);
   must(rows <= level.count);
@@ -82,13 +88,19 @@ function rowsWithAny(values, width) {
   return found;
 }
 
-/** `used`: rows whose latents are no longer 0. @type {(coder: RansDecoder, level: Level, used: Uint8Array) => Uint32Array} */
+/**
+ * `used`: rows whose latents are no longer 0.
+ * @type {(coder: RansDecoder, level: Level, used: Uint8Array) => Uint32Array}
+ */
 function decodeRowSet(coder, { count, position }, used) {
   const touched = rowsWithAny(position, 3);
   for (let i = 0; i < count; i++) touched[i] |= used[i];
-  const blockModels = new BitModels(8), rowModels = new BitModels(16);
+  const blockModels = new BitModels(8),
+    rowModels = new BitModels(16);
   const rows = new Uint32Array(count);
-  let found = 0, blocks = 0, history = 0;
+  let found = 0,
+    blocks = 0,
+    history = 0;
   for (let first = 0; first < count; first += BLOCK) {
     const last = Math.min(first + BLOCK, count);
     const warm = touched.subarray(first, last).includes(1) ? 4 : 0;
@@ -107,23 +119,34 @@ function decodeRowSet(coder, { count, position }, used) {
   return rows.slice(0, found);
 }
 
-/** For each changed row whether it has latents, then these. @type {(coder: RansDecoder, rows: Uint32Array, used: Uint8Array, scales: import("./rans.js").Scales) => Int32Array} */
+/**
+ * For each changed row whether it has latents, then these.
+ * @type {(coder: RansDecoder, rows: Uint32Array, used: Uint8Array, scales: import("./rans.js").Scales) => Int32Array}
+ */
 function decodeLatents(coder, rows, used, scales) {
-  const models = new BitModels(2), chosen = new Uint8Array(rows.length);
+  const models = new BitModels(2),
+    chosen = new Uint8Array(rows.length);
   for (let i = 0; i < rows.length; i++) chosen[i] = coder.flag(models, used[rows[i]]);
   const latent = new Int32Array(rows.length * LATENTS);
   decodeClass(coder, chosen, 1, scales, latent);
   return latent;
 }
 
-/** `position`: of all rows before the change; `start`: expected magnitude. @type {(coder: RansDecoder, rows: Uint32Array, position: Int32Array, elapsed: Elapsed, start: number) => Int32Array} */
+/**
+ * `position`: of all rows before the change; `start`: expected magnitude.
+ * @type {(coder: RansDecoder, rows: Uint32Array, position: Int32Array, elapsed: Elapsed, start: number) => Int32Array}
+ */
 function decodePositions(coder, rows, position, { age, span }, start) {
   const delta = new Int32Array(3 * rows.length);
-  const average = [start, start, start], trend = [0, 0, 0], motion = [0, 0, 0];
+  const average = [start, start, start],
+    trend = [0, 0, 0],
+    motion = [0, 0, 0];
   const frames = Math.min(span, age, MAX_SPAN); // motion is not extrapolated for longer than it was observed
-  let before = 3 * start, mean = 3 * start;
+  let before = 3 * start,
+    mean = 3 * start;
   for (let i = 0; i < rows.length; i++) {
-    let within = 0, steady = 0;
+    let within = 0,
+      steady = 0;
     for (let a = 0; age && a < 3; a++) {
       motion[a] = Math.floor((128 * position[3 * rows[i] + a] * frames) / age);
       steady += Math.abs(motion[a]);

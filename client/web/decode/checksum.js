@@ -13,7 +13,8 @@ for (let t = 1; t < 4; t++) {
 /** @type {(bytes: Uint8Array, crc?: number) => number} continues from `crc` */
 export function crc32(bytes, crc = 0) {
   const [t0, t1, t2, t3] = TABLES;
-  let c = ~crc, i = 0;
+  let c = ~crc,
+    i = 0;
   for (; i + 4 <= bytes.length; i += 4) {
     c ^= bytes[i] | (bytes[i + 1] << 8) | (bytes[i + 2] << 16) | (bytes[i + 3] << 24);
     c = t3[c & 255] ^ t2[(c >>> 8) & 255] ^ t1[(c >>> 16) & 255] ^ t0[c >>> 24];
@@ -29,7 +30,10 @@ const FIXED = new WeakMap();
 export function digest(level) {
   let crc = FIXED.get(level.voxel);
   if (crc === undefined) {
-    crc = [level.voxel, level.feature, level.offset, level.scaling, level.extraLevel].reduce((sum, column) => crc32(bytesOf(column), sum), 0);
+    crc = [level.voxel, level.feature, level.offset, level.scaling, level.extraLevel].reduce(
+      (sum, column) => crc32(bytesOf(column), sum),
+      0,
+    );
     FIXED.set(level.voxel, crc);
   }
   return [level.position, level.latent, level.alive].reduce((sum, column) => crc32(bytesOf(column), sum), crc);

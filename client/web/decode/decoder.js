@@ -12,7 +12,11 @@ import { changed, emptyLevel, HIDDEN, rowBytes } from "./scene.js";
 /** @typedef {import("./scene.js").Level} Level */
 /** @typedef {import("./packet.js").Packet} Packet */
 
-/** What a packet did: a new scene, levels set whole (`rows` null), or rows of levels changed and others added, `from` on. @typedef {{ packet: Packet, scene: boolean, levels: { level: number, rows: Uint32Array | null, from: number }[] }} Effect */
+/**
+ * What a packet did: a new scene, levels set whole (`rows` null), or rows of levels changed and others added, `from`
+ * on.
+ * @typedef {{ packet: Packet, scene: boolean, levels: { level: number, rows: Uint32Array | null, from: number }[] }} Effect
+ */
 
 export class SceneDecoder {
   constructor() {
@@ -28,7 +32,8 @@ export class SceneDecoder {
 
   /** @param {Packet} packet @returns {Effect} */
   #key(packet) {
-    const headerChunk = packet.chunks.get(Chunk.HEADER), weightsChunk = packet.chunks.get(Chunk.WEIGHTS);
+    const headerChunk = packet.chunks.get(Chunk.HEADER),
+      weightsChunk = packet.chunks.get(Chunk.WEIGHTS);
     const fresh = headerChunk !== undefined && weightsChunk !== undefined;
     let scene = this.scene;
     if (fresh) {
@@ -38,9 +43,11 @@ export class SceneDecoder {
     must(packet.mask >> header.levels === 0, "bad_scene_header");
     /** @type {[number, Level][]} */
     const built = [];
-    let room = mostRows(header) - scene.levels.reduce((sum, level, l) => sum + ((packet.mask >> l) & 1 ? 0 : level.count), 0);
+    let room =
+      mostRows(header) - scene.levels.reduce((sum, level, l) => sum + ((packet.mask >> l) & 1 ? 0 : level.count), 0);
     for (const number of bitsOf(packet.mask)) {
-      const geometry = packet.chunks.get((number << 4) | Chunk.GEOMETRY), base = packet.chunks.get((number << 4) | Chunk.BASE);
+      const geometry = packet.chunks.get((number << 4) | Chunk.GEOMETRY),
+        base = packet.chunks.get((number << 4) | Chunk.BASE);
       const features = header.featureSteps.length;
       let level = emptyLevel(features, header.slots);
       if (geometry && base) {
@@ -84,17 +91,21 @@ export class SceneDecoder {
 
 /** @type {(packet: Packet, number: number, scene: Scene, room: number) => { rows: Uint32Array, level: Level }} */
 function changedLevel(packet, number, scene, room) {
-  const { header } = scene, level = scene.levels[number];
+  const { header } = scene,
+    level = scene.levels[number];
   /** @type {(kind: number) => Uint8Array | undefined} */
   const chunk = (kind) => packet.chunks.get((number << 4) | kind);
-  const [changeChunk, removedChunk, addedChunk, hashChunk] =
-    [Chunk.CHANGE, Chunk.REMOVED, Chunk.ADDED, Chunk.HASH].map(chunk);
+  const [changeChunk, removedChunk, addedChunk, hashChunk] = [Chunk.CHANGE, Chunk.REMOVED, Chunk.ADDED, Chunk.HASH].map(
+    chunk,
+  );
   const { keyframe, fromVersion, toVersion } = packet;
   const elapsed = { age: fromVersion - keyframe, span: toVersion - fromVersion };
   const own = { rows: room, bytes: levelBytes(packet, number) };
   const change = changeChunk ? decodeChange(checked(changeChunk, packet), level, elapsed, own) : noChange();
   const removed = removedChunk ? decodeRemoved(checked(removedChunk, packet, false), level, own) : new Uint32Array(0);
-  const added = addedChunk ? decodeAdded(checked(addedChunk, packet), header.featureSteps.length, header.slots, own) : null;
+  const added = addedChunk
+    ? decodeAdded(checked(addedChunk, packet), header.featureSteps.length, header.slots, own)
+    : null;
   const next = changeChunk || removedChunk || addedChunk ? changed(level, { ...change, removed, added }) : level;
   checkHash(hashChunk, next);
   const rows = new Uint32Array(change.rows.length + removed.length);
@@ -112,7 +123,12 @@ function held(scene, { keyframe, identifier }) {
 }
 
 /** The most rows of all levels. @type {(header: Header) => number} */
-const mostRows = ({ featureSteps, slots }) => Math.min(LIMITS.anchors, Math.floor(LIMITS.gaussians / slots), Math.floor(LIMITS.stateBytes / rowBytes(featureSteps.length, slots)));
+const mostRows = ({ featureSteps, slots }) =>
+  Math.min(
+    LIMITS.anchors,
+    Math.floor(LIMITS.gaussians / slots),
+    Math.floor(LIMITS.stateBytes / rowBytes(featureSteps.length, slots)),
+  );
 
 /** @type {(chunk: Uint8Array | undefined, level: Level) => void} */
 function checkHash(chunk, level) {
@@ -138,7 +154,8 @@ const bitsOf = (mask) => Array.from({ length: 16 }, (_, i) => i).filter((i) => (
 function readScene(headerChunk, weightsChunk, { keyframe, identifier, chunks }) {
   const metadata = chunks.get(Chunk.METADATA)?.slice();
   const header = readHeader(headerChunk);
-  const { slots, levels } = header, features = header.featureSteps.length;
+  const { slots, levels } = header,
+    features = header.featureSteps.length;
   const reader = new Reader(weightsChunk, "bad_weights");
   const inputs = features + (header.viewDependent ? 4 : 0);
   const weights = {
@@ -160,21 +177,38 @@ function readHeader(chunk) {
   const [levels, slots, features, viewDependent, cameraCount, ...reserved] = reader.take(8);
   const small = levels <= LIMITS.levels && slots <= LIMITS.slots && features <= LIMITS.features;
   must(small, "limit_exceeded");
-  must(levels >= 1 && slots >= 1 && features >= 1 && viewDependent <= 1 && reserved.every((x) => x === 0), "bad_scene_header");
+  must(
+    levels >= 1 && slots >= 1 && features >= 1 && viewDependent <= 1 && reserved.every((x) => x === 0),
+    "bad_scene_header",
+  );
   const origin = reader.f64(3);
   const [rootCell, referenceDistance, fps] = reader.f64(3);
   const background = reader.f32(3);
-  const positionSteps = reader.f32(levels), featureSteps = reader.f32(features);
-  const offsetSteps = reader.f32(3 * slots), scalingSteps = reader.f32(6);
-  const lengths = [rootCell, referenceDistance].every((x) => x >= 1e-6 && x <= 1e9) && origin.every((x) => Math.abs(x) <= 1e9);
+  const positionSteps = reader.f32(levels),
+    featureSteps = reader.f32(features);
+  const offsetSteps = reader.f32(3 * slots),
+    scalingSteps = reader.f32(6);
+  const lengths =
+    [rootCell, referenceDistance].every((x) => x >= 1e-6 && x <= 1e9) && origin.every((x) => Math.abs(x) <= 1e9);
   const steps = [...positionSteps, ...featureSteps, ...offsetSteps, ...scalingSteps].every((x) => x > 0 && x <= 1e9);
   const others = fps >= 0.001 && fps <= 10000 && background.every((x) => x >= 0 && x <= 1);
   must(lengths && steps && others, "bad_scene_header");
   const cameras = Array.from({ length: cameraCount }, () => readCamera(reader));
   reader.end();
   return {
-    origin, rootCell, levels, slots, viewDependent: viewDependent === 1, referenceDistance, positionSteps, featureSteps,
-    offsetSteps, scalingSteps, background, fps, cameras,
+    origin,
+    rootCell,
+    levels,
+    slots,
+    viewDependent: viewDependent === 1,
+    referenceDistance,
+    positionSteps,
+    featureSteps,
+    offsetSteps,
+    scalingSteps,
+    background,
+    fps,
+    cameras,
   };
 }
 
@@ -188,9 +222,11 @@ function readCamera(reader) {
   } catch {
     must(false, "bad_scene_header");
   }
-  const width = reader.u32(), height = reader.u32();
+  const width = reader.u32(),
+    height = reader.u32();
   must(width >= 1 && width <= 65535 && height >= 1 && height <= 65535, "bad_scene_header");
-  const intrinsics = reader.f64(9), worldToCamera = [...reader.f64(12), 0, 0, 0, 1];
+  const intrinsics = reader.f64(9),
+    worldToCamera = [...reader.f64(12), 0, 0, 0, 1];
   const distortion = reader.f64(5);
   const modest = [...intrinsics, ...worldToCamera, ...distortion].every((x) => Math.abs(x) <= 1e12);
   must(modest && intrinsics[0] > 0 && intrinsics[4] > 0 && isRotation(worldToCamera), "bad_scene_header");
@@ -199,7 +235,11 @@ function readCamera(reader) {
 
 /** Whether the 3x3 part of a pose is one. @type {(m: number[]) => boolean} */
 function isRotation(m) {
-  const rows = [[m[0], m[1], m[2]], [m[4], m[5], m[6]], [m[8], m[9], m[10]]];
+  const rows = [
+    [m[0], m[1], m[2]],
+    [m[4], m[5], m[6]],
+    [m[8], m[9], m[10]],
+  ];
   const product = (/** @type {number[]} */ a, /** @type {number[]} */ b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
   const orthonormal = rows.every((a, i) => rows.every((b, j) => Math.abs(product(a, b) - Number(i === j)) <= 1e-3));
   const [x, y, z] = rows;

@@ -14,16 +14,23 @@ export function rowCount(reader) {
   return rows;
 }
 
-/** The rest of a chunk of coding 0, column after column; `rows` has been found acceptable. @type {(reader: Reader, rows: number, channels: number) => Int32Array} */
+/**
+ * The rest of a chunk of coding 0, column after column; `rows` has been found acceptable.
+ * @type {(reader: Reader, rows: number, channels: number) => Int32Array}
+ */
 export function inflateColumns(reader, rows, channels) {
   const columns = new Int32Array(rows * channels);
   inflate(reader.rest(), new Uint8Array(columns.buffer));
   return columns;
 }
 
-/** Base values and extra bits of lengths and distances. @type {(first: number, extra: (i: number) => number, count: number) => { base: Uint16Array, extra: Uint8Array }} */
+/**
+ * Base values and extra bits of lengths and distances.
+ * @type {(first: number, extra: (i: number) => number, count: number) => { base: Uint16Array, extra: Uint8Array }}
+ */
 function ranges(first, extra, count) {
-  const base = new Uint16Array(count), bits = new Uint8Array(count);
+  const base = new Uint16Array(count),
+    bits = new Uint8Array(count);
   for (let i = 0, at = first; i < count; at += 2 ** extra(i), i++) {
     base[i] = at;
     bits[i] = extra(i);
@@ -35,12 +42,16 @@ const LENGTHS = ranges(3, (i) => (i < 8 ? 0 : (i >> 2) - 1), 29);
 [LENGTHS.base[28], LENGTHS.extra[28]] = [258, 0];
 const DISTANCES = ranges(1, (i) => (i < 4 ? 0 : (i >> 1) - 1), 30);
 
-/** A lookup by the next bits: symbol << 4 | code length, 0 where there is no code. @typedef {{ table: Uint16Array, bits: number }} Codes */
+/**
+ * A lookup by the next bits: symbol << 4 | code length, 0 where there is no code.
+ * @typedef {{ table: Uint16Array, bits: number }} Codes
+ */
 
 /** @type {(lengths: Uint8Array) => Codes} */
 function codesOf(lengths) {
   const bits = Math.max(1, ...lengths);
-  const counts = new Uint16Array(MAX_BITS + 1), next = new Uint16Array(MAX_BITS + 2);
+  const counts = new Uint16Array(MAX_BITS + 1),
+    next = new Uint16Array(MAX_BITS + 2);
   for (const length of lengths) if (length) counts[length]++;
   let space = 1;
   for (let n = 1; n <= bits; n++) {
@@ -51,7 +62,8 @@ function codesOf(lengths) {
   const table = new Uint16Array(1 << bits);
   lengths.forEach((length, symbol) => {
     if (!length) return;
-    let code = next[length]++, reversed = 0;
+    let code = next[length]++,
+      reversed = 0;
     for (let i = 0; i < length; i++, code >>= 1) reversed = (reversed << 1) | (code & 1);
     for (let i = reversed; i < table.length; i += 1 << length) table[i] = (symbol << 4) | length;
   });
@@ -65,7 +77,10 @@ const FIXED = {
 
 /** Inflate all of `bytes` to all of `out`. @type {(bytes: Uint8Array, out: Uint8Array) => void} */
 function inflate(bytes, out) {
-  let at = 0, held = 0, count = 0, written = 0;
+  let at = 0,
+    held = 0,
+    count = 0,
+    written = 0;
   /** @type {(n: number) => number} peek at n <= 15 bits; beyond the end there are zeros */
   const peek = (n) => {
     while (count < n) {
@@ -96,7 +111,8 @@ function inflate(bytes, out) {
   };
   const stored = () => {
     drop(count & 7);
-    const size = take(8) | (take(8) << 8), check = take(8) | (take(8) << 8);
+    const size = take(8) | (take(8) << 8),
+      check = take(8) | (take(8) << 8);
     at -= count >> 3;
     held = count = 0;
     const fits = (size ^ check) === 0xffff && at + size <= bytes.length && written + size <= out.length;
@@ -106,12 +122,15 @@ function inflate(bytes, out) {
     written += size;
   };
   const dynamic = () => {
-    const literals = take(5) + 257, distances = take(5) + 1, coded = take(4) + 4;
+    const literals = take(5) + 257,
+      distances = take(5) + 1,
+      coded = take(4) + 4;
     must(literals <= 286 && distances <= 30);
-    const order = new Uint8Array(19), lengths = new Uint8Array(literals + distances);
+    const order = new Uint8Array(19),
+      lengths = new Uint8Array(literals + distances);
     for (let i = 0; i < coded; i++) order[LENGTH_ORDER[i]] = take(3);
     const codes = codesOf(order);
-    for (let i = 0; i < lengths.length; ) {
+    for (let i = 0; i < lengths.length;) {
       const s = symbol(codes);
       if (s < 16) lengths[i++] = s;
       else {
@@ -141,7 +160,7 @@ function inflate(bytes, out) {
       for (const end = written + length; written < end; written++) out[written] = out[written - distance];
     }
   };
-  for (let last = 0; !last; ) {
+  for (let last = 0; !last;) {
     last = take(1);
     const type = take(2);
     must(type < 3);

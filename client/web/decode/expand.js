@@ -15,7 +15,8 @@ export const ROW_SPLATS = 512; // splats in one row of the renderer's texture
 export const MIN_ALPHA = 1 / 255; // weaker splats are not drawn
 const VIEW_INPUTS = 4;
 const MAX_LOG_SCALE = 20;
-const MIN_LENGTH = 1e-12, MAX_LENGTH = 1e12; // lengths of quaternions that say a rotation
+const MIN_LENGTH = 1e-12,
+  MAX_LENGTH = 1e12; // lengths of quaternions that say a rotation
 const BATCH = 256; // anchors in the kernel's memory at once
 
 /**
@@ -65,7 +66,8 @@ class LevelFloats {
   /** @param {number} rows */
   reserve(rows) {
     if (this.base.length >= rows) return;
-    const room = this.base.length ? Math.ceil(rows * 1.25) : rows, all = /** @type {any} */ (this);
+    const room = this.base.length ? Math.ceil(rows * 1.25) : rows,
+      all = /** @type {any} */ (this);
     for (const [name, width] of Object.entries(this.widths)) {
       const old = all[name];
       all[name] = new old.constructor(width * room);
@@ -97,8 +99,15 @@ export class Expander {
     this.dirty = new Set();
 
     // The kernel's memory: both layers, then inputs, hidden values and outputs of a batch.
-    const sizes = [HIDDEN * this.inputs, HIDDEN, HIDDEN * this.columns, this.columns,
-      BATCH * this.inputs, BATCH * HIDDEN, BATCH * this.columns];
+    const sizes = [
+      HIDDEN * this.inputs,
+      HIDDEN,
+      HIDDEN * this.columns,
+      this.columns,
+      BATCH * this.inputs,
+      BATCH * HIDDEN,
+      BATCH * this.columns,
+    ];
     const start = [0];
     for (const size of sizes) start.push(start[start.length - 1] + roundUp(4 * size, 16));
     const missing = start[sizes.length] - kernel.memory.buffer.byteLength;
@@ -108,7 +117,13 @@ export class Expander {
     this.x = at[4];
     this.y = at[6];
     const natural = Array.from({ length: HIDDEN }, (_, i) => i);
-    intoBlocks(at[0], weights.hiddenWeight, this.inputs, natural, natural.map(() => 1));
+    intoBlocks(
+      at[0],
+      weights.hiddenWeight,
+      this.inputs,
+      natural,
+      natural.map(() => 1),
+    );
     at[1].set(weights.hiddenBias);
     // tanh(v) = 2 sigmoid(2v) - 1, so that one function serves opacities, colours and scales.
     const all = Array.from({ length: 11 * slots }, (_, j) => j);
@@ -128,10 +143,12 @@ export class Expander {
    */
   refresh(number, rows) {
     const { header, weights } = this.scene;
-    const level = this.scene.levels[number], floats = this.levels[number];
+    const level = this.scene.levels[number],
+      floats = this.levels[number];
     const { features, slots, latents } = this;
     floats.reserve(level.count);
-    const cell = header.rootCell / 2 ** number, step = header.positionSteps[number];
+    const cell = header.rootCell / 2 ** number,
+      step = header.positionSteps[number];
     const width = 3 * slots;
     for (let i = 0; i < rows.length; i++) {
       const r = rows[i];
@@ -140,12 +157,15 @@ export class Expander {
         floats.anchor[3 * r + j] = node + level.position[3 * r + j] * step;
       }
       for (let j = 0; j < LATENTS; j++) latents[j] = level.latent[LATENTS * r + j];
-      const f = features * r, o = width * r;
+      const f = features * r,
+        o = width * r;
       for (let j = 0; j < features; j++) floats.feature[f + j] = level.feature[f + j] * header.featureSteps[j];
       for (let j = 0; j < width; j++) floats.local[o + j] = level.offset[o + j] * header.offsetSteps[j];
       for (let l = 0; l < FEATURE_LATENTS; l++) {
-        const a = latents[l], b = latents[FEATURE_LATENTS + l];
-        if (a !== 0) for (let j = 0; j < features; j++) floats.feature[f + j] += a * weights.featureDecoder[features * l + j];
+        const a = latents[l],
+          b = latents[FEATURE_LATENTS + l];
+        if (a !== 0)
+          for (let j = 0; j < features; j++) floats.feature[f + j] += a * weights.featureDecoder[features * l + j];
         if (b !== 0) for (let j = 0; j < width; j++) floats.local[o + j] += b * weights.offsetDecoder[width * l + j];
       }
       for (let j = 0; j < 6; j++) {
@@ -157,9 +177,14 @@ export class Expander {
     }
   }
 
-  /** Give the rows of `number` from `first` on their place among the splats. @param {number} number @param {number} first */
+  /**
+   * Give the rows of `number` from `first` on their place among the splats.
+   * @param {number} number
+   * @param {number} first
+   */
   admit(number, first) {
-    const count = this.scene.levels[number].count, floats = this.levels[number];
+    const count = this.scene.levels[number].count,
+      floats = this.levels[number];
     floats.reserve(count);
     for (let r = first; r < count; r++) floats.base[r] = this.anchors++;
     const rows = Math.ceil((this.anchors * this.slots) / ROW_SPLATS);
@@ -211,10 +236,13 @@ export class Expander {
     const { x, inputs, features, kernel, pointers, columns } = this;
     const { viewDependent, referenceDistance } = this.scene.header;
     for (let i = 0; i < count; i++) {
-      const r = rows[i], o = i * inputs;
+      const r = rows[i],
+        o = i * inputs;
       for (let j = 0, f = r * features; j < features; j++) x[o + j] = feature[f + j];
       if (viewDependent) {
-        const dx = anchor[3 * r] - viewpoint[0], dy = anchor[3 * r + 1] - viewpoint[1], dz = anchor[3 * r + 2] - viewpoint[2];
+        const dx = anchor[3 * r] - viewpoint[0],
+          dy = anchor[3 * r + 1] - viewpoint[1],
+          dz = anchor[3 * r + 2] - viewpoint[2];
         const distance = Math.max(Math.sqrt(dx * dx + dy * dy + dz * dz), 1e-12);
         x[o + features] = dx / distance;
         x[o + features + 1] = dy / distance;
@@ -232,9 +260,15 @@ export class Expander {
   #pack({ base, anchor, local, size }, rows, count) {
     const { y, columns, slots, numbers, splats, rotations } = this;
     for (let i = 0; i < count; i++) {
-      const r = rows[i], first = base[r] * slots, out = i * columns;
-      const ax = anchor[3 * r], ay = anchor[3 * r + 1], az = anchor[3 * r + 2];
-      const sx = size[3 * r], sy = size[3 * r + 1], sz = size[3 * r + 2];
+      const r = rows[i],
+        first = base[r] * slots,
+        out = i * columns;
+      const ax = anchor[3 * r],
+        ay = anchor[3 * r + 1],
+        az = anchor[3 * r + 2];
+      const sx = size[3 * r],
+        sy = size[3 * r + 1],
+        sz = size[3 * r + 2];
       for (let k = 0; k < slots; k++) {
         const o = (first + k) * RECORD;
         const opacity = 2 * y[out + k] - 1;
@@ -242,15 +276,33 @@ export class Expander {
           numbers[o + 3] = 0;
           continue;
         }
-        const l = 3 * (r * slots + k), c = out + slots + 3 * k, s = out + 4 * slots + 3 * k, q = out + rotations + 4 * k;
-        let qw = y[q], qx = y[q + 1], qy = y[q + 2], qz = y[q + 3];
-        const length = Math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz), n = 1 / length;
-        qw *= n; qx *= n; qy *= n; qz *= n;
-        const a = y[s] * sx, b = y[s + 1] * sy, d = y[s + 2] * sz;
+        const l = 3 * (r * slots + k),
+          c = out + slots + 3 * k,
+          s = out + 4 * slots + 3 * k,
+          q = out + rotations + 4 * k;
+        let qw = y[q],
+          qx = y[q + 1],
+          qy = y[q + 2],
+          qz = y[q + 3];
+        const length = Math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz),
+          n = 1 / length;
+        qw *= n;
+        qx *= n;
+        qy *= n;
+        qz *= n;
+        const a = y[s] * sx,
+          b = y[s + 1] * sy,
+          d = y[s + 2] * sz;
         // Columns of rotation x diag(scale); the covariance is their outer sum.
-        const m0 = (1 - 2 * (qy * qy + qz * qz)) * a, m1 = 2 * (qx * qy + qw * qz) * a, m2 = 2 * (qx * qz - qw * qy) * a;
-        const m3 = 2 * (qx * qy - qw * qz) * b, m4 = (1 - 2 * (qx * qx + qz * qz)) * b, m5 = 2 * (qy * qz + qw * qx) * b;
-        const m6 = 2 * (qx * qz + qw * qy) * d, m7 = 2 * (qy * qz - qw * qx) * d, m8 = (1 - 2 * (qx * qx + qy * qy)) * d;
+        const m0 = (1 - 2 * (qy * qy + qz * qz)) * a,
+          m1 = 2 * (qx * qy + qw * qz) * a,
+          m2 = 2 * (qx * qz - qw * qy) * a;
+        const m3 = 2 * (qx * qy - qw * qz) * b,
+          m4 = (1 - 2 * (qx * qx + qz * qz)) * b,
+          m5 = 2 * (qy * qz + qw * qx) * b;
+        const m6 = 2 * (qx * qz + qw * qy) * d,
+          m7 = 2 * (qy * qz - qw * qx) * d,
+          m8 = (1 - 2 * (qx * qx + qy * qy)) * d;
         numbers[o] = ax + local[l];
         numbers[o + 1] = ay + local[l + 1];
         numbers[o + 2] = az + local[l + 2];

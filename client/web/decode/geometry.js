@@ -9,7 +9,8 @@ const CLASS_OF = [0, 0, 1, 2, 2, 3, 3, 3, 3]; // by number of children
 /** @type {(chunk: Uint8Array, room: import("./packet.js").Room) => Int32Array} [N, 3] */
 export function decodeGeometry(chunk, room) {
   const reader = new Reader(chunk);
-  const coding = reader.u8(), count = rowCount(reader);
+  const coding = reader.u8(),
+    count = rowCount(reader);
   if (coding === 0) {
     checkAdded(count, 3, room);
     return differences(inflateColumns(reader, count, 3), count);
@@ -20,14 +21,18 @@ export function decodeGeometry(chunk, room) {
   checkAdded(count, Math.max(3, depth), room);
   const coder = new RansDecoder(reader.rest(), coding);
   const models = new BitModels(4 * 4 * 256);
-  let nodes = new Int32Array(3), classes = new Uint8Array(1), length = 1;
+  let nodes = new Int32Array(3),
+    classes = new Uint8Array(1),
+    length = 1;
   for (let d = 0; d < depth; d++) {
     const context = Math.min(depth - 1 - d, 3) * 4;
     const most = Math.min(8 * length, count);
-    const children = new Int32Array(3 * most), childClasses = new Uint8Array(most);
+    const children = new Int32Array(3 * most),
+      childClasses = new Uint8Array(most);
     let born = 0;
     for (let i = 0; i < length; i++) {
-      let occupancy = 0, prefix = 1;
+      let occupancy = 0,
+        prefix = 1;
       for (let j = 0; j < 8; j++) {
         const bit = j === 7 && occupancy === 0 ? 1 : coder.flag(models, ((context + classes[i]) << 8) | prefix);
         occupancy |= bit << j;

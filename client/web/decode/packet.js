@@ -4,12 +4,29 @@ import { crc32 } from "./checksum.js";
 import { BitstreamError } from "./scene.js";
 
 export const KEY = 0;
-const CHANGE = 1, FIRST_EXTENSION = 12;
-export const Chunk = Object.freeze({ HEADER: 0, WEIGHTS: 1, GEOMETRY: 2, BASE: 3, CHANGE: 4, REMOVED: 5, ADDED: 6, HASH: 7, METADATA: 12 });
+const CHANGE = 1,
+  FIRST_EXTENSION = 12;
+export const Chunk = Object.freeze({
+  HEADER: 0,
+  WEIGHTS: 1,
+  GEOMETRY: 2,
+  BASE: 3,
+  CHANGE: 4,
+  REMOVED: 5,
+  ADDED: 6,
+  HASH: 7,
+  METADATA: 12,
+});
 
 /** What a player takes at most: complexity level main of codec/FORMAT.md, section 13. */
 export const LIMITS = Object.freeze({
-  packetBytes: 16 << 20, levels: 16, anchors: 1 << 18, gaussians: 1 << 21, stateBytes: 64 << 20, slots: 16, features: 64,
+  packetBytes: 16 << 20,
+  levels: 16,
+  anchors: 1 << 18,
+  gaussians: 1 << 21,
+  stateBytes: 64 << 20,
+  slots: 16,
+  features: 64,
 });
 
 export const HEADER = 44; // bytes before the directory
@@ -29,14 +46,20 @@ const NUMBERS_A_BYTE = 64;
  * @property {Map<number, Uint8Array>} chunks - by level << 4 | chunk kind
  */
 
-/** Refuse by one of the codes of codec/FORMAT.md, section 13. @type {(condition: unknown, code?: string, detail?: string) => asserts condition} */
+/**
+ * Refuse by one of the codes of codec/FORMAT.md, section 13.
+ * @type {(condition: unknown, code?: string, detail?: string) => asserts condition}
+ */
 export function must(condition, code = "corrupt_chunk", detail = code) {
   if (!condition) throw new BitstreamError(code, detail);
 }
 
 /** What the chunks of one level may hold: rows to add, and bytes. @typedef {{ rows: number, bytes: number }} Room */
 
-/** Refuse a table with too few bytes behind it (codec/FORMAT.md section 6). @type {(rows: number, columns: number, room: Room) => void} */
+/**
+ * Refuse a table with too few bytes behind it (codec/FORMAT.md section 6).
+ * @type {(rows: number, columns: number, room: Room) => void}
+ */
 export function checkTable(rows, columns, { bytes }) {
   must(rows * columns <= NUMBERS_A_BYTE * bytes, "limit_exceeded");
 }
@@ -54,7 +77,10 @@ export function levelBytes({ chunks }, level) {
   return bytes;
 }
 
-/** What a packet's header and directory say: its fields without chunks, and for each chunk where it lies. @typedef {{ fields: Omit<Packet, "chunks">, directory: { key: number, at: number, length: number, crc: number }[] }} Envelope */
+/**
+ * What a packet's header and directory say: its fields without chunks, and for each chunk where it lies.
+ * @typedef {{ fields: Omit<Packet, "chunks">, directory: { key: number, at: number, length: number, crc: number }[] }} Envelope
+ */
 
 /** Chunks are not looked at. @type {(bytes: Uint8Array) => Envelope} @throws {BitstreamError} */
 export function parseEnvelope(bytes) {
@@ -69,19 +95,33 @@ export function parseEnvelope(bytes) {
   const checksum = crc32(bytes.subarray(HEADER, start), crc32(bytes.subarray(0, HEADER - 4)));
   must(view.getUint32(HEADER - 4, true) === checksum, "bad_checksum");
 
-  const kind = bytes[6], keyframe = view.getUint32(8, true), mask = view.getUint16(28, true);
-  const fromVersion = view.getUint32(12, true), toVersion = view.getUint32(16, true);
-  const ordered = kind === KEY ? keyframe === fromVersion && fromVersion === toVersion : keyframe <= fromVersion && fromVersion < toVersion;
+  const kind = bytes[6],
+    keyframe = view.getUint32(8, true),
+    mask = view.getUint16(28, true);
+  const fromVersion = view.getUint32(12, true),
+    toVersion = view.getUint32(16, true);
+  const ordered =
+    kind === KEY
+      ? keyframe === fromVersion && fromVersion === toVersion
+      : keyframe <= fromVersion && fromVersion < toVersion;
   const timed = view.getUint32(24, true) < 0x80000000;
   must(kind <= CHANGE && bytes[7] === 0 && mask !== 0 && ordered && timed, "bad_header");
 
   /** @type {Envelope["directory"]} */
-  const directory = [], places = new Set();
-  let before = -1, end = start;
+  const directory = [],
+    places = new Set();
+  let before = -1,
+    end = start;
   for (let at = HEADER; at < start; at += 8) {
     const entry = view.getUint32(at, true);
-    const level = entry >>> 28, chunk = (entry >>> 24) & 15, key = entry >>> 24, length = entry & 0xffffff;
-    const allowed = chunk >= FIRST_EXTENSION || chunk === Chunk.HASH || (chunk < Chunk.HASH && chunk < Chunk.CHANGE === (kind === KEY));
+    const level = entry >>> 28,
+      chunk = (entry >>> 24) & 15,
+      key = entry >>> 24,
+      length = entry & 0xffffff;
+    const allowed =
+      chunk >= FIRST_EXTENSION ||
+      chunk === Chunk.HASH ||
+      (chunk < Chunk.HASH && chunk < Chunk.CHANGE === (kind === KEY));
     must(key > before && allowed, "bad_directory");
     must((mask >>> level) & 1 && (chunk > Chunk.WEIGHTS || level === 0), "bad_directory");
     before = key;
@@ -96,8 +136,13 @@ export function parseEnvelope(bytes) {
   }
   must(end <= bytes.length, "truncated");
   must(end === bytes.length, "trailing_bytes");
-  const timeNs = view.getBigUint64(20, true), timeMs = Number(timeNs / 1000n) / 1000, identifier = view.getBigUint64(32, true);
-  return { fields: { profile: bytes[5], kind, keyframe, fromVersion, toVersion, timeNs, timeMs, mask, identifier }, directory };
+  const timeNs = view.getBigUint64(20, true),
+    timeMs = Number(timeNs / 1000n) / 1000,
+    identifier = view.getBigUint64(32, true);
+  return {
+    fields: { profile: bytes[5], kind, keyframe, fromVersion, toVersion, timeNs, timeMs, mask, identifier },
+    directory,
+  };
 }
 
 /** Its chunks are views into `bytes`. @type {(bytes: Uint8Array) => Packet} @throws {BitstreamError} */
@@ -130,19 +175,29 @@ export class Reader {
   }
 
   /** @returns {number} */
-  u8() { return this.view.getUint8(this.#skip(1)); }
+  u8() {
+    return this.view.getUint8(this.#skip(1));
+  }
 
   /** @returns {number} */
-  u32() { return this.view.getUint32(this.#skip(4), true); }
+  u32() {
+    return this.view.getUint32(this.#skip(4), true);
+  }
 
   /** @returns {number} */
-  i32() { return this.view.getInt32(this.#skip(4), true); }
+  i32() {
+    return this.view.getInt32(this.#skip(4), true);
+  }
 
   /** @param {number} n */
-  take(n) { return this.bytes.subarray(this.#skip(n), this.at); }
+  take(n) {
+    return this.bytes.subarray(this.#skip(n), this.at);
+  }
 
   /** What is left. */
-  rest() { return this.take(this.bytes.length - this.at); }
+  rest() {
+    return this.take(this.bytes.length - this.at);
+  }
 
   /** @param {number} n @returns {number[]} */
   f64(n) {
@@ -158,18 +213,28 @@ export class Reader {
 
   /** @param {number} n @returns {Float32Array} from half precision */
   f16(n) {
-    const first = this.#skip(2 * n), result = new Float32Array(n);
+    const first = this.#skip(2 * n),
+      result = new Float32Array(n);
     for (let i = 0; i < n; i++) {
       const h = this.view.getUint16(first + 2 * i, true);
-      const e = (h >>> 10) & 31, m = h & 1023, sign = h & 0x8000 ? -1 : 1;
+      const e = (h >>> 10) & 31,
+        m = h & 1023,
+        sign = h & 0x8000 ? -1 : 1;
       result[i] = sign * (e === 31 ? Infinity : e ? 2 ** (e - 25) * (1024 + m) : 2 ** -24 * m);
     }
     return this.#finite(result);
   }
 
-  /** @template {ArrayLike<number> & { every: (test: (x: number) => boolean) => boolean }} A @param {A} numbers @returns {A} */
+  /**
+   * @template {ArrayLike<number> & { every: (test: (x: number) => boolean) => boolean }} A
+   * @param {A} numbers
+   * @returns {A}
+   */
   #finite(numbers) {
-    must(numbers.every((x) => Number.isFinite(x)), this.code);
+    must(
+      numbers.every((x) => Number.isFinite(x)),
+      this.code,
+    );
     return numbers;
   }
 

@@ -4,7 +4,8 @@ import { must } from "./packet.js";
 import { bin, SCALE, STEPS } from "./tables.js";
 
 const FINAL = 65536;
-const ESCAPE = 16, TOP_BIN = 30;
+const ESCAPE = 16,
+  TOP_BIN = 30;
 
 /** Adaptive models of one bit. */
 export class BitModels {
@@ -43,7 +44,9 @@ export class RansDecoder {
 
   /** @param {number} width - 1 to 12 @returns {number} */
   bits(width) {
-    const { lane } = this, slot = this.state[lane] & 4095, shift = 12 - width;
+    const { lane } = this,
+      slot = this.state[lane] & 4095,
+      shift = 12 - width;
     this.#advance(lane, 1 << shift, slot & ((1 << shift) - 1));
     return slot >>> shift;
   }
@@ -57,9 +60,11 @@ export class RansDecoder {
 
   /** @param {BitModels} models @param {number} i @returns {number} 0 or 1 */
   flag({ zeros, ones }, i) {
-    let n0 = zeros[i], n1 = ones[i];
+    let n0 = zeros[i],
+      n1 = ones[i];
     const split = Math.min(Math.max(Math.trunc((4096 * n0) / (n0 + n1)), 1), 4095);
-    const { lane } = this, slot = this.state[lane] & 4095;
+    const { lane } = this,
+      slot = this.state[lane] & 4095;
     const bit = slot < split ? 0 : 1;
     if (bit) {
       this.#advance(lane, 4096 - split, slot - split);
@@ -86,7 +91,8 @@ export class RansDecoder {
       s = (b - 27) >> 2;
       b -= 4 * s;
     }
-    const { lane } = this, step = STEPS[(b << 12) | (this.state[lane] & 4095)];
+    const { lane } = this,
+      step = STEPS[(b << 12) | (this.state[lane] & 4095)];
     let z = step >>> 25;
     this.#advance(lane, (step >>> 12) & 8191, step & 4095);
     if (z === ESCAPE) {
@@ -111,7 +117,8 @@ export class RansDecoder {
 /** Side fields of 6.3. @type {(reader: import("./packet.js").Reader, channels: number) => Scales} */
 export function readScales(reader, channels) {
   const base = reader.u8();
-  if (base >= SCALE.length) return { magnitude: new Int32Array(channels).fill(SCALE[base - SCALE.length + 16]), channels };
+  if (base >= SCALE.length)
+    return { magnitude: new Int32Array(channels).fill(SCALE[base - SCALE.length + 16]), channels };
   const nibbles = reader.take(Math.ceil(channels / 2));
   const magnitude = new Int32Array(channels); // 0: not coded
   for (let c = 0; c < channels; c++) {
@@ -128,9 +135,14 @@ export function scale(q) {
   return SCALE[q];
 }
 
-/** Rows of integers with energy context: those of one class, each to its place in `result`. @type {(coder: RansDecoder, classes: Uint8Array, own: number, scales: Scales, result: Int32Array) => void} */
+/**
+ * Rows of integers with energy context: those of one class, each to its place in `result`.
+ * @type {(coder: RansDecoder, classes: Uint8Array, own: number, scales: Scales, result: Int32Array) => void}
+ */
 export function decodeClass(coder, classes, own, { magnitude, channels }, result) {
-  const weight = new Int32Array(channels), share = new Int32Array(channels), bins = new Int32Array(channels);
+  const weight = new Int32Array(channels),
+    share = new Int32Array(channels),
+    bins = new Int32Array(channels);
   let total = 0;
   for (let c = 0; c < channels; c++) {
     const m = magnitude[c];
@@ -143,10 +155,14 @@ export function decodeClass(coder, classes, own, { magnitude, channels }, result
   if (!total) return;
   // The common case of `coder.value` is spelt out below on local variables: a symbol of its table, no escape.
   const { words, state, mask } = coder;
-  let { at, lane } = coder, energy = total;
+  let { at, lane } = coder,
+    energy = total;
   for (let i = 0; i < classes.length; i++) {
     if (classes[i] !== own) continue;
-    let t = 0, r = 0, g = 0, place = i * channels;
+    let t = 0,
+      r = 0,
+      g = 0,
+      place = i * channels;
     for (let c = 0; c < channels; c++, place++) {
       if (!(c & 1)) g = bin(Math.floor((256 * (energy + 2 * t)) / (total + 2 * r))) - 24;
       if (!magnitude[c]) continue;

@@ -5,15 +5,18 @@ import { checkAdded, checkTable, must, Reader } from "./packet.js";
 import { BitModels, decodeClass, RansDecoder, readScales } from "./rans.js";
 import { emptyLevel, LATENTS, SCALINGS } from "./scene.js";
 
-const CENTRED = 1, TREND = 2; // channel modes
+const CENTRED = 1,
+  TREND = 2; // channel modes
 
 /** @typedef {import("./scene.js").Level} Level */
 /** @typedef {import("./packet.js").Room} Room */
 
 /** @type {(chunk: Uint8Array, voxel: Int32Array, features: number, slots: number, room: Room) => Level} */
 export function decodeBase(chunk, voxel, features, slots, room) {
-  const count = voxel.length / 3, channels = features + 3 * slots + 10;
-  const reader = new Reader(chunk), coding = reader.u8();
+  const count = voxel.length / 3,
+    channels = features + 3 * slots + 10;
+  const reader = new Reader(chunk),
+    coding = reader.u8();
   must(coding || rowCount(reader) === count);
   checkTable(count, channels, room);
   const columns = decodeRows(reader, coding, count, channels, 0, channels - 4);
@@ -27,7 +30,9 @@ export function decodeBase(chunk, voxel, features, slots, room) {
 /** @type {(chunk: Uint8Array, features: number, slots: number, room: Room) => Level} */
 export function decodeAdded(chunk, features, slots, room) {
   const channels = features + 3 * slots + 38;
-  const reader = new Reader(chunk), coding = reader.u8(), rows = rowCount(reader);
+  const reader = new Reader(chunk),
+    coding = reader.u8(),
+    rows = rowCount(reader);
   checkAdded(rows, channels, room);
   const table = decodeRows(reader, coding, rows, channels, 3, 3 + features + 3 * slots + SCALINGS);
   const level = emptyLevel(features, slots, rows);
@@ -35,11 +40,17 @@ export function decodeAdded(chunk, features, slots, room) {
   fillBase(level, table, 3, features, slots);
   fill(level.latent, LATENTS, table, channels - 1 - LATENTS);
   fill(level.alive, 1, table, channels - 1);
-  must(level.alive.every((x) => x <= 1), "overflow");
+  must(
+    level.alive.every((x) => x <= 1),
+    "overflow",
+  );
   return level;
 }
 
-/** Values so that channel c of row i is at `i * rowStep + c * channelStep`. @typedef {{ rows: number, values: Int32Array, rowStep: number, channelStep: number }} Table */
+/**
+ * Values so that channel c of row i is at `i * rowStep + c * channelStep`.
+ * @typedef {{ rows: number, values: Int32Array, rowStep: number, channelStep: number }} Table
+ */
 
 /** @type {(level: Level, table: Table, first: number, features: number, slots: number) => void} */
 function fillBase(level, table, first, features, slots) {
@@ -95,13 +106,19 @@ function decodeRows(reader, coding, rows, channels, first, end) {
   return { rows, values, rowStep: channels, channelStep: 1 };
 }
 
-/** Rows in classes of precision, FORMAT.md section 6.4. @type {(reader: Reader, coding: number, rows: number, channels: number) => { values: Int32Array, shifts: Uint8Array }} */
+/**
+ * Rows in classes of precision, FORMAT.md section 6.4.
+ * @type {(reader: Reader, coding: number, rows: number, channels: number) => { values: Int32Array, shifts: Uint8Array }}
+ */
 function decodeClasses(reader, coding, rows, channels) {
-  const mask = reader.u8(), used = [0, 1, 2, 3, 4, 5, 6, 7].filter((s) => (mask >> s) & 1);
+  const mask = reader.u8(),
+    used = [0, 1, 2, 3, 4, 5, 6, 7].filter((s) => (mask >> s) & 1);
   must(mask > 0);
   const scales = used.map(() => readScales(reader, channels));
   const coder = new RansDecoder(reader.rest(), coding);
-  const models = new BitModels(8), classes = new Uint8Array(rows), values = new Int32Array(rows * channels);
+  const models = new BitModels(8),
+    classes = new Uint8Array(rows),
+    values = new Int32Array(rows * channels);
   for (let i = 0; i < rows; i++) {
     let own = 0;
     while (own < used.length - 1 && !coder.flag(models, own)) own++;

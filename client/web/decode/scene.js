@@ -1,6 +1,9 @@
 /** The integer state that travels, as in core/scene: levels of anchors, keyframes, residuals. */
 
-export const LATENTS = 24, FEATURE_LATENTS = 12, HIDDEN = 32, SCALINGS = 6;
+export const LATENTS = 24,
+  FEATURE_LATENTS = 12,
+  HIDDEN = 32,
+  SCALINGS = 6;
 
 /**
  * @typedef {object} RigCamera
@@ -63,7 +66,10 @@ export const LATENTS = 24, FEATURE_LATENTS = 12, HIDDEN = 32, SCALINGS = 6;
  * @property {Uint8Array | undefined} metadata - facts about the scene, for `readMetadata`
  */
 
-/** Changes of one level: by how much [n, 3], [n, 24] which `rows` differ, which die, which come. @typedef {{ rows: Uint32Array, position: Int32Array, latent: Int32Array, removed: Uint32Array, added: Level | null }} LevelChange */
+/**
+ * Changes of one level: by how much [n, 3], [n, 24] which `rows` differ, which die, which come.
+ * @typedef {{ rows: Uint32Array, position: Int32Array, latent: Int32Array, removed: Uint32Array, added: Level | null }} LevelChange
+ */
 
 /** Bytes that are refused; `code` as in codec/FORMAT.md. */
 export class BitstreamError extends Error {
@@ -102,15 +108,22 @@ export const rowBytes = (features, slots) => 87 + 2 * features + 6 * slots;
 
 /** The rows of `first`, then those of `second`. @type {(first: Level, second: Level) => Level} */
 function appendRows({ count, ...first }, second) {
-  const columns = Object.entries(first).map(([name, column]) => [name, joined(column, second[/** @type {keyof typeof first} */ (name)])]);
+  const columns = Object.entries(first).map(([name, column]) => [
+    name,
+    joined(column, second[/** @type {keyof typeof first} */ (name)]),
+  ]);
   return { count: count + second.count, ...Object.fromEntries(columns) };
 }
 
-/** The level after a change; the old one stays. @type {(level: Level, change: LevelChange) => Level} @throws {BitstreamError} an integer leaves its type */
+/**
+ * The level after a change; the old one stays.
+ * @type {(level: Level, change: LevelChange) => Level} @throws {BitstreamError} an integer leaves its type
+ */
 export function changed(level, { rows, position, latent, removed, added }) {
   const next = { ...level, position: level.position.slice(), latent: level.latent.slice(), alive: level.alive.slice() };
   for (let i = 0; i < rows.length; i++) {
-    const p = 3 * rows[i], l = LATENTS * rows[i];
+    const p = 3 * rows[i],
+      l = LATENTS * rows[i];
     for (let j = 0; j < 3; j++) {
       const sum = level.position[p + j] + position[3 * i + j];
       if (sum !== (sum | 0)) throw new BitstreamError("overflow", "a position leaves the range of int32");

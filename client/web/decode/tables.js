@@ -15,9 +15,13 @@ export function bin(e) {
   return k + SMALL[e];
 }
 
-export const SYMBOLS = 17, BINS = 31;
+export const SYMBOLS = 17,
+  BINS = 31;
 
-/** Frequencies in each of the 31 bins: of symbols 1 and 2, 3 and 4, ... 13 and 14, which are the same, of 15 and of 16. That of 0 makes the sum 4096. */
+/**
+ * Frequencies in each of the 31 bins: of symbols 1 and 2, 3 and 4, ... 13 and 14, which are the same, of 15 and of 16.
+ * That of 0 makes the sum 4096.
+ */
 const FREQUENCIES = `20 1 1 1 1 1 1 1 1
 40 1 1 1 1 1 1 1 1
 68 4 1 1 1 1 1 1 1
@@ -53,10 +57,15 @@ const FREQUENCIES = `20 1 1 1 1 1 1 1 1
 /** Scales q = 0..191: magnitudes in 1/256. */
 export const SCALE = Int32Array.from({ length: 192 }, (_, q) => Math.round(2 ** (q / 8)));
 
-export const FREQUENCY = Uint16Array.from(FREQUENCIES.split("\n").flatMap((line) => {
-  const row = line.split(" ").map(Number).flatMap((n, i) => (i < 7 ? [n, n] : [n]));
-  return [row.reduce((rest, n) => rest - n, 4096), ...row];
-}));
+export const FREQUENCY = Uint16Array.from(
+  FREQUENCIES.split("\n").flatMap((line) => {
+    const row = line
+      .split(" ")
+      .map(Number)
+      .flatMap((n, i) => (i < 7 ? [n, n] : [n]));
+    return [row.reduce((rest, n) => rest - n, 4096), ...row];
+  }),
+);
 /** For each bin and slot: symbol << 25 | frequency << 12 | slot - start, so that decoding looks up once. */
 export const STEPS = new Uint32Array(BINS * 4096);
 for (let b = 0, at = 0; b < BINS; b++) {

@@ -32,7 +32,11 @@ export class Gaussians {
     return this.decoder.scene;
   }
 
-  /** Decode one packet. @param {Uint8Array} bytes @returns {import("../decode/decoder.js").Effect} @throws {import("../decode/scene.js").BitstreamError} */
+  /**
+   * Decode one packet.
+   * @param {Uint8Array} bytes
+   * @returns {import("../decode/decoder.js").Effect} @throws {import("../decode/scene.js").BitstreamError}
+   */
   push(bytes) {
     const effect = this.decoder.push(bytes);
     const scene = /** @type {Scene} */ (this.scene);
@@ -56,7 +60,8 @@ export class Gaussians {
 
   /** Mark rows from `from` on as new. @param {number} number @param {number} from */
   #admit(number, from) {
-    const scene = /** @type {Scene} */ (this.scene), expander = /** @type {Expander} */ (this.expander);
+    const scene = /** @type {Scene} */ (this.scene),
+      expander = /** @type {Expander} */ (this.expander);
     const count = scene.levels[number].count;
     const old = this.pending.get(number);
     if (!old || old.length < count) {
@@ -69,9 +74,14 @@ export class Gaussians {
     expander.admit(number, from);
   }
 
-  /** Bring the Gaussians up to date, as they are seen from there. @param {Vec3} position @param {number} levels - wanted, coarse ones first */
+  /**
+   * Bring the Gaussians up to date, as they are seen from there.
+   * @param {Vec3} position
+   * @param {number} levels - wanted, coarse ones first
+   */
   update(position, levels) {
-    const scene = /** @type {Scene} */ (this.scene), expander = /** @type {Expander} */ (this.expander);
+    const scene = /** @type {Scene} */ (this.scene),
+      expander = /** @type {Expander} */ (this.expander);
     const newest = versionOf(scene);
     let visible = 0;
     for (let l = 0; l < Math.min(levels, scene.levels.length); l++) if (scene.versions[l] === newest) visible |= 1 << l;
@@ -97,7 +107,9 @@ export class Gaussians {
   #moved(position) {
     const { scene } = this;
     if (!scene?.header.viewDependent) return false;
-    const [moved, reach] = [this.expandedFrom, this.centre].map((place) => Math.hypot(...position.map((x, i) => x - place[i])));
+    const [moved, reach] = [this.expandedFrom, this.centre].map((place) =>
+      Math.hypot(...position.map((x, i) => x - place[i])),
+    );
     return this.fresh || !(moved <= TURN * reach);
   }
 
@@ -113,7 +125,8 @@ export class Gaussians {
 
   /** Those worth drawing, level by level. @param {number} visible */
   #collect(visible) {
-    const scene = /** @type {Scene} */ (this.scene), expander = /** @type {Expander} */ (this.expander);
+    const scene = /** @type {Scene} */ (this.scene),
+      expander = /** @type {Expander} */ (this.expander);
     const { numbers, slots } = expander;
     if (this.active.length < expander.anchors * slots) this.active = new Uint32Array(expander.anchors * slots);
     let count = 0;

@@ -13,7 +13,10 @@ const STREAMS = ["dataCenter", "dataColor", "dataScale", "dataRotation"];
 const half = (x) => FloatPacking.float2Half(x);
 
 export class StreamlodSplats {
-  /** @param {import("playcanvas").GraphicsDevice} device @param {import("playcanvas").Entity} entity - gets a component `gsplat` */
+  /**
+   * @param {import("playcanvas").GraphicsDevice} device
+   * @param {import("playcanvas").Entity} entity - gets a component `gsplat`
+   */
   constructor(device, entity) {
     this.device = device;
     this.entity = entity;
@@ -23,11 +26,17 @@ export class StreamlodSplats {
 
   /** Rewrite what changed. @param {import("./frame.js").Frame} frame */
   take({ count, positions, covariances, opacities, colors, changes, isNew }) {
-    const old = this.container, isOutgrown = !old || old.maxSplats < count;
-    const container = isOutgrown ? new GSplatContainer(this.device, Math.ceil(1.25 * count), GSplatFormat.createDefaultFormat(this.device)) : old;
+    const old = this.container,
+      isOutgrown = !old || old.maxSplats < count;
+    const container = isOutgrown
+      ? new GSplatContainer(this.device, Math.ceil(1.25 * count), GSplatFormat.createDefaultFormat(this.device))
+      : old;
     const textures = STREAMS.map((name) => /** @type {import("playcanvas").Texture} */ (container.getTexture(name)));
-    const [centres, rgba, sizes, turns] = textures.map((texture) => /** @type {Float32Array | Uint16Array} */ (texture.lock()));
-    const scales = [0, 0, 0], rotation = [0, 0, 0, 1];
+    const [centres, rgba, sizes, turns] = textures.map(
+      (texture) => /** @type {Float32Array | Uint16Array} */ (texture.lock()),
+    );
+    const scales = [0, 0, 0],
+      rotation = [0, 0, 0, 1];
     for (const { first, count: length } of isOutgrown ? [{ first: 0, count }] : changes) {
       container.centers.set(positions.subarray(3 * first, 3 * (first + length)), 3 * first);
       for (let i = first; i < first + length; i++) {
@@ -44,7 +53,9 @@ export class StreamlodSplats {
     for (const texture of textures) texture.unlock();
     if (isNew || isOutgrown) container.aabb = boxOf(positions, opacities);
     container.update(count);
-    const gsplat = this.entity.gsplat ?? /** @type {import("playcanvas").GSplatComponent} */ (this.entity.addComponent("gsplat", { resource: container }));
+    const gsplat =
+      this.entity.gsplat ??
+      /** @type {import("playcanvas").GSplatComponent} */ (this.entity.addComponent("gsplat", { resource: container }));
     if (isOutgrown) gsplat.resource = container;
     gsplat.workBufferUpdate = WORKBUFFER_UPDATE_ONCE;
     if (isOutgrown) old?.destroy();
@@ -59,7 +70,8 @@ export class StreamlodSplats {
 
 /** Around all that is not empty. @param {Float32Array} positions @param {Float32Array} opacities */
 function boxOf(positions, opacities) {
-  const least = [Infinity, Infinity, Infinity], most = [-Infinity, -Infinity, -Infinity];
+  const least = [Infinity, Infinity, Infinity],
+    most = [-Infinity, -Infinity, -Infinity];
   for (let i = 0; i < positions.length; i++) {
     if (!opacities[Math.trunc(i / 3)]) continue;
     least[i % 3] = Math.min(least[i % 3], positions[i]);

@@ -9,10 +9,15 @@ import { add, centre, cross, dot, row, unit } from "./vectors.js";
 const rotationOf = ({ worldToCamera: m }) => [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]];
 
 /** Where a camera stands. @type {(camera: RigCamera) => Vec3} */
-export const centreOf = (camera) => centre(rotationOf(camera), [3, 7, 11].map((i) => camera.worldToCamera[i]));
+export const centreOf = (camera) =>
+  centre(
+    rotationOf(camera),
+    [3, 7, 11].map((i) => camera.worldToCamera[i]),
+  );
 
 /** The same direction of all cameras, on average. @type {(cameras: RigCamera[], axis: number, sign: number) => Vec3} */
-const mean = (cameras, axis, sign) => cameras.reduce((sum, camera) => add(sum, row(rotationOf(camera), axis), sign), /** @type {Vec3} */ ([0, 0, 0]));
+const mean = (cameras, axis, sign) =>
+  cameras.reduce((sum, camera) => add(sum, row(rotationOf(camera), axis), sign), /** @type {Vec3} */ ([0, 0, 0]));
 
 /** What points up for most of the rig. @type {(cameras: RigCamera[]) => Vec3} */
 export function rigUp(cameras) {
@@ -29,8 +34,16 @@ const matrix = (x, y, z, place) => [...x, 0, ...y, 0, ...z, 0, ...place, 1];
  * @returns {number[]} 16 numbers, column by column
  */
 export function upright(cameras) {
-  const y = rigUp(cameras), ahead = mean(cameras, 2, 1), level = add(ahead, y, -dot(ahead, y));
-  const z = unit(Math.hypot(...level) > 1e-6 ? add([0, 0, 0], level, -1) : Math.abs(y[2]) < 0.9 ? add([0, 0, -1], y, y[2]) : add([0, -1, 0], y, y[1]));
+  const y = rigUp(cameras),
+    ahead = mean(cameras, 2, 1),
+    level = add(ahead, y, -dot(ahead, y));
+  const z = unit(
+    Math.hypot(...level) > 1e-6
+      ? add([0, 0, 0], level, -1)
+      : Math.abs(y[2]) < 0.9
+        ? add([0, 0, -1], y, y[2])
+        : add([0, -1, 0], y, y[1]),
+  );
   const x = cross(y, z);
   return matrix([x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]], [0, 0, 0]);
 }
@@ -41,7 +54,8 @@ export function upright(cameras) {
  * @returns {{ pose: number[], fov: number }} 16 numbers, column by column, camera to world; degrees, vertically
  */
 export function viewOf(camera) {
-  const r = rotationOf(camera), back = /** @type {(v: Vec3) => Vec3} */ (([x, y, z]) => [-x, -y, -z]);
+  const r = rotationOf(camera),
+    back = /** @type {(v: Vec3) => Vec3} */ (([x, y, z]) => [-x, -y, -z]);
   const fov = (360 / Math.PI) * Math.atan(camera.height / (2 * camera.intrinsics[4]));
   return { pose: matrix(row(r, 0), back(row(r, 1)), back(row(r, 2)), centreOf(camera)), fov };
 }

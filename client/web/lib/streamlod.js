@@ -25,7 +25,10 @@ export { upright, viewOf } from "./rig.js";
 /** @typedef {import("./frame.js").Frame} Frame */
 /** @typedef {import("./vectors.js").Vec3} Vec3 */
 /** @typedef {import("../decode/scene.js").RigCamera} RigCamera */
-/** `middle`: of all anchors of the last keyframe, world units. @typedef {{ fps: number, cameras: RigCamera[], background: number[], levels: number, isViewDependent: boolean, middle: Vec3 }} Scene */
+/**
+ * `middle`: of all anchors of the last keyframe, world units.
+ * @typedef {{ fps: number, cameras: RigCamera[], background: number[], levels: number, isViewDependent: boolean, middle: Vec3 }} Scene
+ */
 
 /**
  * @typedef {object} Options
@@ -52,10 +55,17 @@ function sceneOf({ scene, centre }) {
   return { fps, cameras, background: [...background], levels, isViewDependent: viewDependent, middle: centre };
 }
 
-/** The middle of the rig, from which view-dependent colours are right if nobody says otherwise. @param {Gaussians} gaussians @returns {Vec3} */
+/**
+ * The middle of the rig, from which view-dependent colours are right if nobody says otherwise.
+ * @param {Gaussians} gaussians
+ * @returns {Vec3}
+ */
 function middleOf({ scene }) {
   const cameras = scene?.header.cameras ?? [];
-  return cameras.reduce((sum, camera) => add(sum, centreOf(camera), 1 / cameras.length), /** @type {Vec3} */ ([0, 0, 0]));
+  return cameras.reduce(
+    (sum, camera) => add(sum, centreOf(camera), 1 / cameras.length),
+    /** @type {Vec3} */ ([0, 0, 0]),
+  );
 }
 
 /**
@@ -65,7 +75,8 @@ function middleOf({ scene }) {
  * @returns {Promise<Clip | Live>} once the file's index is read, or the stream has its first frame
  */
 export async function open(url, options = {}) {
-  const kernel = await loadKernel(options.kernel ?? (await fetchKernel())), address = new URL(url, globalThis.location?.href);
+  const kernel = await loadKernel(options.kernel ?? (await fetchKernel())),
+    address = new URL(url, globalThis.location?.href);
   const isLive = /^wss?:$/.test(address.protocol) || /\/live$/.test(address.pathname);
   if (!isLive) {
     const clip = new Clip(new FileReader(address.href, options.token ?? null), kernel);
@@ -133,13 +144,17 @@ export class Clip {
   /** @param {number} seconds @param {{ from?: Vec3, levels?: number }} view @returns {Promise<Frame>} */
   async #read(seconds, { from, levels = Infinity }) {
     if (!Number.isFinite(seconds)) throw new TypeError("frame takes a number of seconds");
-    const { moments: all, entries, reader, gaussians } = this, begin = all[0].timeMs, at = begin + 1000 * seconds + 1e-3;
+    const { moments: all, entries, reader, gaussians } = this,
+      begin = all[0].timeMs,
+      at = begin + 1000 * seconds + 1e-3;
     const moment = all.reduce((last, next) => (next.timeMs <= at ? next : last), all[0]);
     const wanted = plan(entries, moment.version, this.held);
-    for (let i = 0, j; i < wanted.length; i = j) { // runs of packets that lie side by side are one request
+    for (let i = 0, j; i < wanted.length; i = j) {
+      // runs of packets that lie side by side are one request
       const first = entries[wanted[i]];
       let { offset: end } = first;
-      for (j = i; j < wanted.length && (j === i || entries[wanted[j]].offset === end + 4); j++) end = entries[wanted[j]].offset + entries[wanted[j]].size;
+      for (j = i; j < wanted.length && (j === i || entries[wanted[j]].offset === end + 4); j++)
+        end = entries[wanted[j]].offset + entries[wanted[j]].size;
       const bytes = await reader.read(first.offset, end);
       for (const number of wanted.slice(i, j)) {
         const { offset, size, keyframe, toVersion: version } = entries[number];
@@ -148,7 +163,12 @@ export class Clip {
       }
     }
     gaussians.update(from ?? middleOf(gaussians), levels);
-    return { seconds: (moment.timeMs - begin) / 1000, filmedMs: moment.timeMs, version: moment.version, ...this.columns.take(gaussians) };
+    return {
+      seconds: (moment.timeMs - begin) / 1000,
+      filmedMs: moment.timeMs,
+      version: moment.version,
+      ...this.columns.take(gaussians),
+    };
   }
 
   close() {
@@ -224,12 +244,18 @@ export class Live extends EventTarget {
     } catch {
       return null; // refused: the connection is opened again
     }
-    const { timeMs, toVersion } = effect.packet, ms = performance.now() - begin;
+    const { timeMs, toVersion } = effect.packet,
+      ms = performance.now() - begin;
     if (this.held !== null && toVersion >= this.held) this.held = null;
     if (this.held === null) {
       this.begin = Number.isNaN(this.begin) ? timeMs : this.begin;
       this.gaussians.update(this.from ?? middleOf(this.gaussians), Infinity);
-      this.newest = { seconds: (timeMs - this.begin) / 1000, filmedMs: timeMs, version: toVersion, ...this.columns.take(this.gaussians) };
+      this.newest = {
+        seconds: (timeMs - this.begin) / 1000,
+        filmedMs: timeMs,
+        version: toVersion,
+        ...this.columns.take(this.gaussians),
+      };
       this.dispatchEvent(new CustomEvent("frame", { detail: this.newest }));
       start();
     }

@@ -17,4 +17,5 @@ export const unit = (a) => {
 export const row = (r, i) => [r[3 * i], r[3 * i + 1], r[3 * i + 2]];
 
 /** Where a camera stands that maps x to r x + t. @type {(r: number[], t: ArrayLike<number>) => Vec3} */
-export const centre = (r, t) => /** @type {Vec3} */ ([0, 1, 2].map((i) => -r[i] * t[0] - r[3 + i] * t[1] - r[6 + i] * t[2]));
+export const centre = (r, t) =>
+  /** @type {Vec3} */ ([0, 1, 2].map((i) => -r[i] * t[0] - r[3 + i] * t[1] - r[6 + i] * t[2]));

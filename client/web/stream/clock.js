@@ -9,7 +9,11 @@ export class ServerClock {
     this.measured = [];
   }
 
-  /** @param {number} sentMs - local @param {number} receivedMs - local @param {number} serverMs - Unix time between them */
+  /**
+   * @param {number} sentMs - local
+   * @param {number} receivedMs - local
+   * @param {number} serverMs - Unix time between them
+   */
   add(sentMs, receivedMs, serverMs) {
     const error = (receivedMs - sentMs) / 2;
     if (!(error >= 0)) return;

@@ -33,7 +33,10 @@ export class Connection extends Link {
   }
 
   open() {
-    const { wanted, status: { mode, position } } = this.session;
+    const {
+      wanted,
+      status: { mode, position },
+    } = this.session;
     this.asked = true;
     this.frozen = false;
     if (!wanted) {
@@ -45,7 +48,9 @@ export class Connection extends Link {
 
   /** @param {object[]} messages */
   opened(messages) {
-    super.opened(this.speed === 1 && !this.sound ? messages : [...messages, { type: "set", speed: this.speed, sound: this.sound }]);
+    super.opened(
+      this.speed === 1 && !this.sound ? messages : [...messages, { type: "set", speed: this.speed, sound: this.sound }],
+    );
   }
 
   /** Whether sound is wanted from now on. @param {boolean} on */
@@ -75,7 +80,7 @@ export class Connection extends Link {
   async #drain() {
     if (this.busy) return;
     this.busy = true;
-    for (let item; !this.ended && (item = this.queue.shift()) !== undefined; ) {
+    for (let item; !this.ended && (item = this.queue.shift()) !== undefined;) {
       const socket = this.socket;
       if (typeof item === "string") this.#control(item);
       else if (!this.frozen && !this.asked) {
@@ -137,15 +142,21 @@ export class Connection extends Link {
     const { position, window } = this.session.status;
     for (const { stop, ...wanted } of messages) {
       if (wanted.type === "speed") this.speed = wanted.value;
-      const isPlay = wanted.type === "play", isPause = wanted.type === "pause";
+      const isPlay = wanted.type === "play",
+        isPause = wanted.type === "pause";
       // The server stopped a few packets after what is shown: to go on is a seek.
-      const message = isPlay && position ? { type: "seek", to: position } : wanted.type === "speed" ? { type: "set", speed: wanted.value } : wanted;
+      const message =
+        isPlay && position
+          ? { type: "seek", to: position }
+          : wanted.type === "speed"
+            ? { type: "set", speed: wanted.value }
+            : wanted;
       if (this.aim !== null && (isPlay || isPause)) {
         this.stopAt = isPause ? this.aim : null; // where the seek leads
         continue;
       }
       if (!this.session.open && (isPlay || isPause || message.type === "seek")) {
-        this.#want(isPlay || isPause ? this.session.wanted ?? position : message.to, Boolean(stop) || isPause);
+        this.#want(isPlay || isPause ? (this.session.wanted ?? position) : message.to, Boolean(stop) || isPause);
         continue;
       }
       if (isPlay || message.type === "seek") {
@@ -160,10 +171,14 @@ export class Connection extends Link {
     }
   }
 
-  /** Begin there once there is a connection. @param {"live" | import("./session.js").Position | null} to @param {boolean} stop */
+  /**
+   * Begin there once there is a connection.
+   * @param {"live" | import("./session.js").Position | null} to
+   * @param {boolean} stop
+   */
   #want(to, stop) {
     this.session.wanted = to;
-    this.aim = to === "live" ? null : to?.version ?? null;
+    this.aim = to === "live" ? null : (to?.version ?? null);
     this.stopAt = stop ? this.aim : null;
   }
 

@@ -21,11 +21,14 @@ export class FileReader {
   async #fetch(range) {
     const { origin } = new URL(this.url);
     const answer = await fetch(this.url, { headers: { ...this.headers, Range: `bytes=${range}` } }).catch(() => {
-      throw new Error(`${origin} does not answer${origin === globalThis.location?.origin ? "" : ", or does not let pages of other sites read its files (CORS)"}`);
+      throw new Error(
+        `${origin} does not answer${origin === globalThis.location?.origin ? "" : ", or does not let pages of other sites read its files (CORS)"}`,
+      );
     });
     if (!answer.ok) {
       const told = await answer.json().catch(() => null); // what is wrong, where the server says it (RFC 9457)
-      const why = told?.detail && told.detail !== answer.statusText ? told.detail : `${answer.status} ${answer.statusText}`;
+      const why =
+        told?.detail && told.detail !== answer.statusText ? told.detail : `${answer.status} ${answer.statusText}`;
       throw Object.assign(new Error(`the recording cannot be read: ${why}`), { isRefused: answer.status === 401 });
     }
     return answer;
@@ -37,7 +40,10 @@ export class FileReader {
     const bytes = new Uint8Array(await answer.arrayBuffer());
     if (answer.status === 206) {
       const total = /\/(\d+)$/.exec(answer.headers.get("Content-Range") ?? "");
-      if (!total) throw new Error("the file's server hides the header Content-Range from pages of other sites (CORS): it must expose it");
+      if (!total)
+        throw new Error(
+          "the file's server hides the header Content-Range from pages of other sites (CORS): it must expose it",
+        );
       this.size = Number(total[1]);
     } else this.#keep(bytes);
     return bytes.subarray(Math.max(0, bytes.length - n));
@@ -49,15 +55,25 @@ export class FileReader {
     this.size = bytes.length;
   }
 
-  /** A range, each time as much of it as has come. @param {number} start @param {number} end @returns {AsyncGenerator<Uint8Array, void>} */
+  /**
+   * A range, each time as much of it as has come.
+   * @param {number} start
+   * @param {number} end
+   * @returns {AsyncGenerator<Uint8Array, void>}
+   */
   async *arriving(start, end) {
     if (!this.whole) {
       const answer = await this.#fetch(`${start}-${end - 1}`);
       if (answer.status !== 206 || !answer.body) this.#keep(new Uint8Array(await answer.arrayBuffer()));
       else {
-        must(end - start <= MAX_READ, "limit_exceeded", "the recording has no index and is too long to be read without");
-        const bytes = new Uint8Array(end - start), reader = answer.body.getReader();
-        for (let at = 0, more; !(more = await reader.read()).done; ) {
+        must(
+          end - start <= MAX_READ,
+          "limit_exceeded",
+          "the recording has no index and is too long to be read without",
+        );
+        const bytes = new Uint8Array(end - start),
+          reader = answer.body.getReader();
+        for (let at = 0, more; !(more = await reader.read()).done;) {
           bytes.set(more.value, at);
           yield bytes.subarray(0, (at += more.value.length));
         }
@@ -78,14 +94,18 @@ export class FileReader {
 
   /** What the file holds. @returns {Promise<import("../decode/container.js").Entry[]>} */
   async entries() {
-    const tail = await this.tail(FOOTER), { size } = this, footer = readFooter(tail, size);
+    const tail = await this.tail(FOOTER),
+      { size } = this,
+      footer = readFooter(tail, size);
     const [head, content] = await Promise.all([
-      this.read(0, Math.min(FILE_HEAD, size)), footer && this.read(footer.start, size - FOOTER),
+      this.read(0, Math.min(FILE_HEAD, size)),
+      footer && this.read(footer.start, size - FOOTER),
     ]);
     checkHead(head);
     const indexed = footer && content && readIndex(content, footer.checksum, footer.start);
     if (indexed) return indexed;
-    const walked = walkRecords(await this.read(0, size)), last = walked[walked.length - 1];
+    const walked = walkRecords(await this.read(0, size)),
+      last = walked[walked.length - 1];
     this.isCut = last !== undefined && last.offset + last.size < size;
     return walked;
   }
@@ -99,13 +119,18 @@ const LENGTH = 4; // bytes before each packet
  * @returns {Promise<Blob>}
  */
 export async function cut(url, token, first, last) {
-  const reader = new FileReader(url, token), entries = await reader.entries();
-  const begin = entries.reduce((last, { kind, keyframe }) => (kind === KEY && keyframe <= first ? Math.max(last, keyframe) : last), -1);
+  const reader = new FileReader(url, token),
+    entries = await reader.entries();
+  const begin = entries.reduce(
+    (last, { kind, keyframe }) => (kind === KEY && keyframe <= first ? Math.max(last, keyframe) : last),
+    -1,
+  );
   must(begin >= 0, "bad_file", "The first mark has left the window.");
   const wanted = entries.filter(({ keyframe, toVersion }) => keyframe >= begin && toVersion <= last);
   const parts = [await reader.read(0, FILE_HEAD)];
-  for (let i = 0, j; i < wanted.length; i = j) { // runs of records that lie side by side
-    for (j = i + 1; j < wanted.length && wanted[j].offset === wanted[j - 1].offset + wanted[j - 1].size + LENGTH; ) j++;
+  for (let i = 0, j; i < wanted.length; i = j) {
+    // runs of records that lie side by side
+    for (j = i + 1; j < wanted.length && wanted[j].offset === wanted[j - 1].offset + wanted[j - 1].size + LENGTH;) j++;
     parts.push(await reader.read(wanted[i].offset - LENGTH, wanted[j - 1].offset + wanted[j - 1].size));
   }
   return new Blob(/** @type {BlobPart[]} */ (parts));

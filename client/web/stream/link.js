@@ -41,7 +41,8 @@ export class Link {
 
   /** @param {number} code @param {string} reason */
   closed(code, reason) {
-    if (this.url !== this.home && code > 4400 && code < 4405) { // its origin may serve
+    if (this.url !== this.home && code > 4400 && code < 4405) {
+      // its origin may serve
       this.url = this.home;
       this.stays = true;
       return this.open();

@@ -3,8 +3,10 @@
 import { ServerClock } from "./clock.js";
 
 export const PROTOCOL = "streamlod.push.v1";
-const FIRST_WAIT_MS = 250, MAX_WAIT_MS = 5000;
-const FIRST_QUESTIONS = 8, QUESTION_MS = 5000; // about the time: at first one after the other, then so far apart
+const FIRST_WAIT_MS = 250,
+  MAX_WAIT_MS = 5000;
+const FIRST_QUESTIONS = 8,
+  QUESTION_MS = 5000; // about the time: at first one after the other, then so far apart
 const MAX_UNANSWERED_MS = 400; // what waits longer is not worth adding to
 const MAX_BUFFERED_BYTES = 128 * 1024;
 const SILENCE_MS = 15_000; // of the server, after which a connection counts as dead
@@ -15,7 +17,14 @@ const FINAL = new Set([1008, 1009, 4400, 4401, 4403, 4404, 4415]);
 /** @typedef {"jpeg" | "h264" | "opus" | "pcm"} Codec */
 const SOUND = new Set(["opus", "pcm"]);
 
-/** One message: the length of the header, the header in msgpack, the picture. @param {string} camera - of ASCII characters @param {number} sequence @param {number} captureMs - Unix time @param {Codec} codec @param {Uint8Array} picture */
+/**
+ * One message: the length of the header, the header in msgpack, the picture.
+ * @param {string} camera - of ASCII characters
+ * @param {number} sequence
+ * @param {number} captureMs - Unix time
+ * @param {Codec} codec
+ * @param {Uint8Array} picture
+ */
 export function pack(camera, sequence, captureMs, codec, picture) {
   const text = (/** @type {string} */ value) => [0xd9, value.length, ...new TextEncoder().encode(value)];
   const number = (/** @type {bigint} */ value) => {
@@ -26,8 +35,15 @@ export function pack(camera, sequence, captureMs, codec, picture) {
   };
   const captureNs = BigInt(Math.round(captureMs * 1000)) * 1000n; // browsers' clocks have microseconds
   const header = [
-    0x84, ...text("camera"), ...text(camera), ...text("sequence"), ...number(BigInt(sequence)),
-    ...text("capture_ns"), ...number(captureNs), ...text("codec"), ...text(codec),
+    0x84,
+    ...text("camera"),
+    ...text(camera),
+    ...text("sequence"),
+    ...number(BigInt(sequence)),
+    ...text("capture_ns"),
+    ...number(captureNs),
+    ...text("codec"),
+    ...text(codec),
   ];
   const message = new Uint8Array(2 + header.length + picture.length);
   message.set([header.length >> 8, header.length & 255, ...header]);
@@ -36,7 +52,11 @@ export function pack(camera, sequence, captureMs, codec, picture) {
 }
 
 export class PushLink {
-  /** @param {string} url @param {string | null} token @param {() => void} changed - called when state, cameras or refusals are others */
+  /**
+   * @param {string} url
+   * @param {string | null} token
+   * @param {() => void} changed - called when state, cameras or refusals are others
+   */
   constructor(url, token, changed) {
     this.url = url;
     this.protocols = token ? [PROTOCOL, `bearer.${token}`] : [PROTOCOL];
@@ -83,8 +103,11 @@ export class PushLink {
   /** Whether a picture taken now would arrive in time. */
   get hasRoom() {
     const [oldest] = this.underWay;
-    return this.state === "open" && (oldest === undefined || performance.now() - oldest.at < MAX_UNANSWERED_MS)
-      && (this.socket?.bufferedAmount ?? 0) < MAX_BUFFERED_BYTES;
+    return (
+      this.state === "open" &&
+      (oldest === undefined || performance.now() - oldest.at < MAX_UNANSWERED_MS) &&
+      (this.socket?.bufferedAmount ?? 0) < MAX_BUFFERED_BYTES
+    );
   }
 
   /** @param {string} camera @param {number} captureMs - local @param {Codec} codec @param {Uint8Array} picture */

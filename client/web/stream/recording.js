@@ -6,7 +6,9 @@ import { BitstreamError } from "../decode/scene.js";
 import { FileReader } from "./file.js";
 import { Session } from "./session.js";
 
-const MAX_AHEAD = 1 << 19, CACHE_BYTES = 96 << 20, TICK_MS = 8;
+const MAX_AHEAD = 1 << 19,
+  CACHE_BYTES = 96 << 20,
+  TICK_MS = 8;
 const AHEAD_MS = 500; // how long a request may take
 const LATE_MS = 300; // a keyframe that takes longer is shown level by level
 const DAMAGED = "a part of the file is damaged or missing";
@@ -14,7 +16,12 @@ const STALL_MS = 1000; // that a frame is waited for
 const MAX_GAP_MS = 10_000; // nobody waits longer where nothing was filmed; as core/gaps.py
 
 export class Recording {
-  /** @param {string} url @param {string | null} token @param {import("./connection.js").Handlers} handlers @param {boolean} loop - begin again at the end */
+  /**
+   * @param {string} url
+   * @param {string | null} token
+   * @param {import("./connection.js").Handlers} handlers
+   * @param {boolean} loop - begin again at the end
+   */
   constructor(url, token, handlers, loop) {
     this.handlers = handlers;
     this.token = token;
@@ -73,13 +80,17 @@ export class Recording {
 
   /** A moment cannot be shown: go on after it, from the next keyframe, or end before it. @param {unknown} error */
   #leaveOut(error) {
-    const { session } = this, { version } = this.moments[this.at];
+    const { session } = this,
+      { version } = this.moments[this.at];
     const next = this.entries.find(({ kind, keyframe }) => kind === KEY && keyframe > version)?.keyframe ?? Infinity;
     const whole = this.moments.filter((moment) => moment.version < version || moment.version >= next);
     if (!whole.length || !(error instanceof BitstreamError)) return this.#fail(error);
     this.moments = whole;
     session.status.trouble = DAMAGED;
-    session.status.window = { oldest: { epoch: 1, version: whole[0].version }, newest: { epoch: 1, version: whole[whole.length - 1].version } };
+    session.status.window = {
+      oldest: { epoch: 1, version: whole[0].version },
+      newest: { epoch: 1, version: whole[whole.length - 1].version },
+    };
     this.shown = whole.findIndex((moment) => moment.version === this.held?.version);
     if (next === Infinity) this.playing = false;
     this.#moveTo(next === Infinity ? whole.length - 1 : this.#indexOf(next));
@@ -128,7 +139,9 @@ export class Recording {
     if (this.at !== this.shown) {
       this.busy = true;
       this.wantedAt = performance.now();
-      this.#show(this.at).catch((error) => this.#leaveOut(error)).finally(() => (this.busy = false));
+      this.#show(this.at)
+        .catch((error) => this.#leaveOut(error))
+        .finally(() => (this.busy = false));
     }
     this.#settle();
   }
@@ -157,7 +170,8 @@ export class Recording {
       if (level === 0 && bytes.length === size) return this.#apply(bytes);
       const isLate = kind === KEY && (this.shown < 0 || performance.now() - this.wantedAt > LATE_MS);
       if (!isLate && level === 0) continue;
-      for (let part; level < LIMITS.levels && (part = levelOf(bytes, level)); level++) if (part.length) await this.#apply(part);
+      for (let part; level < LIMITS.levels && (part = levelOf(bytes, level)); level++)
+        if (part.length) await this.#apply(part);
     }
   }
 
@@ -166,13 +180,23 @@ export class Recording {
     must(await this.handlers.packet(packet), "bad_file", "the recording is damaged");
   }
 
-  /** What has come of one packet, until it is whole, reading on a little. @param {number} number @returns {AsyncGenerator<Uint8Array, void>} */
+  /**
+   * What has come of one packet, until it is whole, reading on a little.
+   * @param {number} number
+   * @returns {AsyncGenerator<Uint8Array, void>}
+   */
   async *#packet(number) {
     const known = this.cache.get(number);
     if (known) return yield known;
-    const first = this.entries[number], begin = performance.now();
-    let last = number, end = first.offset + first.size;
-    while (last + 1 < this.entries.length && this.entries[last + 1].offset === end + 4 && end - first.offset < this.ahead) {
+    const first = this.entries[number],
+      begin = performance.now();
+    let last = number,
+      end = first.offset + first.size;
+    while (
+      last + 1 < this.entries.length &&
+      this.entries[last + 1].offset === end + 4 &&
+      end - first.offset < this.ahead
+    ) {
       last++;
       end = this.entries[last].offset + this.entries[last].size;
     }
@@ -185,7 +209,8 @@ export class Recording {
     must(bytes.length === end - first.offset, "truncated", "the recording ends too early");
     this.ahead = Math.min(MAX_AHEAD, (bytes.length * AHEAD_MS) / (performance.now() - begin + 1));
     for (let i = number; i <= last; i++) {
-      const { offset, size } = this.entries[i], packet = bytes.slice(offset - first.offset, offset - first.offset + size);
+      const { offset, size } = this.entries[i],
+        packet = bytes.slice(offset - first.offset, offset - first.offset + size);
       checkEntry(this.entries[i], packet);
       if (!this.cache.has(i)) this.cached += size;
       this.cache.set(i, packet);
@@ -199,7 +224,9 @@ export class Recording {
   }
 
   #settle() {
-    const { session } = this, { status } = session, { phase, mode } = status;
+    const { session } = this,
+      { status } = session,
+      { phase, mode } = status;
     session.isOver = !this.playing && this.shown === this.moments.length - 1;
     session.isQuiet = this.busy && performance.now() - this.wantedAt > STALL_MS;
     status.mode = this.playing || session.isOver ? "replay" : "paused";
@@ -210,7 +237,8 @@ export class Recording {
   /** Commands as on a connection, and speed and loop. @param {any[]} messages */
   send(messages) {
     for (const message of messages) {
-      if (message.type === "seek") this.#moveTo(message.to === "live" ? this.moments.length - 1 : this.#indexOf(message.to.version));
+      if (message.type === "seek")
+        this.#moveTo(message.to === "live" ? this.moments.length - 1 : this.#indexOf(message.to.version));
       else if (message.type === "pause") {
         if (this.playing) this.#goOn(this.#media);
         this.playing = false;

@@ -7,7 +7,9 @@ import { LIVE_SECONDS, phaseOf } from "./phase.js";
 
 export const PROTOCOL = "streamlod.v1";
 const CLIENT = "streamlod-web/1.0";
-const FIRST_WAIT_MS = 500, MAX_WAIT_MS = 15_000, GROW_AFTER = 3;
+const FIRST_WAIT_MS = 500,
+  MAX_WAIT_MS = 15_000,
+  GROW_AFTER = 3;
 const MIN_STALL_MS = 2500; // without a frame
 const MAX_STALL_MS = 60_000;
 const FIRST_GAP_MS = 2500; // between two frames, as long as only one has come
@@ -54,7 +56,16 @@ const USUAL_GAPS = 4; // so many times the usual time between two frames is a st
  */
 
 /** Close codes after which another attempt cannot help. @type {Record<number, Phase>} */
-const FINAL = { 1000: "deleted", 1008: "failed", 1009: "failed", 4400: "failed", 4401: "denied", 4403: "denied", 4404: "missing", 4415: "version" };
+const FINAL = {
+  1000: "deleted",
+  1008: "failed",
+  1009: "failed",
+  4400: "failed",
+  4401: "denied",
+  4403: "denied",
+  4404: "missing",
+  4415: "version",
+};
 
 /** @type {(one: Position, other: Position) => boolean} */
 const isNewer = (one, other) => one.epoch > other.epoch || (one.epoch === other.epoch && one.version > other.version);
@@ -64,9 +75,29 @@ export class Session {
   constructor(now) {
     /** @type {Status} */
     this.status = {
-      phase: "connecting", source: "cameras", loops: false, lagSeconds: null, filmedMs: null, newestMs: null, clockMs: null, detail: "", stage: "", trouble: "", fraction: null,
-      window: null, position: null, began: null, mode: "live", stopping: false, levels: null,
-      sentLevels: null, fps: null, retryAt: 0, skipped: 0, bytes: 0, together: null,
+      phase: "connecting",
+      source: "cameras",
+      loops: false,
+      lagSeconds: null,
+      filmedMs: null,
+      newestMs: null,
+      clockMs: null,
+      detail: "",
+      stage: "",
+      trouble: "",
+      fraction: null,
+      window: null,
+      position: null,
+      began: null,
+      mode: "live",
+      stopping: false,
+      levels: null,
+      sentLevels: null,
+      fps: null,
+      retryAt: 0,
+      skipped: 0,
+      bytes: 0,
+      together: null,
     };
     this.attempts = 0;
     this.open = false;
@@ -119,7 +150,8 @@ export class Session {
    * @returns {{ mode: "live" | "replay" | "paused", version: number, clamped: boolean } | null} what a position event says
    */
   control(text, now = this.lastPacket, unixMs = NaN) {
-    const message = heard(text), { status } = this;
+    const message = heard(text),
+      { status } = this;
     if (!message) {
       this.verdict = "failed";
       status.detail = "the server sent a message that cannot be read";
@@ -138,15 +170,34 @@ export class Session {
         this.leaves = !this.edges.length && message.source === "cameras"; // an edge has not all of the past
         this.edges = message.edges ?? [];
         this.ackEvery = message.ack_every ?? 8;
-        Object.assign(status, { levels: message.levels, sentLevels: message.levels, fps: message.fps, source: message.source ?? "cameras", loops: message.loop === true });
+        Object.assign(status, {
+          levels: message.levels,
+          sentLevels: message.levels,
+          fps: message.fps,
+          source: message.source ?? "cameras",
+          loops: message.loop === true,
+        });
         this.#window(message.window);
-        if (message.server_time_ns) status.clockMs = message.server_time_ns / 1e6 - (unixMs - (now - this.saidHello) / 2);
+        if (message.server_time_ns)
+          status.clockMs = message.server_time_ns / 1e6 - (unixMs - (now - this.saidHello) / 2);
         this.#progress(message.progress);
         this.#streamState(message.state, message.detail);
-        status.together = message.together && { session: message.session ?? "", mayPresent: message.together.may_present, by: message.together.by ?? null, view: null, at: null };
+        status.together = message.together && {
+          session: message.session ?? "",
+          mayPresent: message.together.may_present,
+          by: message.together.by ?? null,
+          view: null,
+          at: null,
+        };
         break;
       case "presenter":
-        if (status.together) Object.assign(status.together, { mayPresent: message.may_present ?? status.together.mayPresent, by: message.by ?? null, view: message.view ?? null, at: message.at ?? null });
+        if (status.together)
+          Object.assign(status.together, {
+            mayPresent: message.may_present ?? status.together.mayPresent,
+            by: message.by ?? null,
+            view: message.view ?? null,
+            at: message.at ?? null,
+          });
         break;
       case "state":
         if (this.streamState === "starting") {
@@ -209,7 +260,8 @@ export class Session {
 
   /** The phase that follows from what is known. */
   settle() {
-    const { status } = this, { position, window } = status;
+    const { status } = this,
+      { position, window } = status;
     const { filmedMs, newestMs } = status;
     const inEpoch = position && window && position.epoch === window.newest.epoch;
     const versions = inEpoch ? Math.max(0, window.newest.version - position.version) : 0;
@@ -220,8 +272,16 @@ export class Session {
     // The newest version may be on its way; an older server tells no times, so that only versions can be counted.
     const isBehind = isOld || (versions > 1 && (status.lagSeconds ?? versions / (status.fps || 30)) > LIVE_SECONDS);
     status.phase = phaseOf({
-      link: this.link, verdict: this.verdict, stream: this.streamState, source: status.source, mode: status.mode,
-      hasFrame: position !== null && (this.isFresh || this.streamState !== "starting"), hasWindow: window !== null, isOver: this.isOver, isBehind: Boolean(isBehind), isQuiet: this.isQuiet,
+      link: this.link,
+      verdict: this.verdict,
+      stream: this.streamState,
+      source: status.source,
+      mode: status.mode,
+      hasFrame: position !== null && (this.isFresh || this.streamState !== "starting"),
+      hasWindow: window !== null,
+      isOver: this.isOver,
+      isBehind: Boolean(isBehind),
+      isQuiet: this.isQuiet,
     });
   }
 
@@ -231,15 +291,22 @@ export class Session {
     this.status.bytes += size;
     const gap = Math.min(now - this.lastPacket, MAX_STALL_MS);
     // A slow encoder is not a stall, and a burst is no proof of a fast one.
-    if (this.status.phase === "live" || this.status.phase === "stalled") this.usualGap += (gap - this.usualGap) * (gap > this.usualGap ? 0.5 : 0.1);
+    if (this.status.phase === "live" || this.status.phase === "stalled")
+      this.usualGap += (gap - this.usualGap) * (gap > this.usualGap ? 0.5 : 0.1);
     this.lastPacket = now;
     this.isQuiet = false;
   }
 
-  /** The state is at `version` now, filmed at `filmedMs`. @type {(version: number, decodeMs: number, now: number, filmedMs?: number | null) => object[]} */
+  /**
+   * The state is at `version` now, filmed at `filmedMs`.
+   * @type {(version: number, decodeMs: number, now: number, filmedMs?: number | null) => object[]}
+   */
   applied(version, decodeMs, now, filmedMs = null) {
-    const { status } = this, { position: before, filmedMs: beforeMs } = status, position = (status.position = { epoch: this.epoch, version });
-    if (before?.epoch === this.epoch && before.version < version && beforeMs !== null && filmedMs !== null) this.filmedGap = (filmedMs - beforeMs) / (version - before.version);
+    const { status } = this,
+      { position: before, filmedMs: beforeMs } = status,
+      position = (status.position = { epoch: this.epoch, version });
+    if (before?.epoch === this.epoch && before.version < version && beforeMs !== null && filmedMs !== null)
+      this.filmedGap = (filmedMs - beforeMs) / (version - before.version);
     status.filmedMs = filmedMs;
     const { window } = status; // told a little later; what was shown can be sought
     if (window && !isNewer(window.newest, position)) {
@@ -270,7 +337,13 @@ export class Session {
     // Nobody knows when the next frame of a recording is due that the server plays and has sent all of so far.
     const isDue = status.source !== "recording" || !this.#hasNewest;
     const filmedGap = this.filmedGap || (status.filmedMs === null ? 0 : FIRST_GAP_MS);
-    const patience = isDue ? Math.max(MIN_STALL_MS, 8000 / (status.fps || 30), USUAL_GAPS * Math.max(this.usualGap, filmedGap, this.#gapAhead())) : MAX_STALL_MS;
+    const patience = isDue
+      ? Math.max(
+          MIN_STALL_MS,
+          8000 / (status.fps || 30),
+          USUAL_GAPS * Math.max(this.usualGap, filmedGap, this.#gapAhead()),
+        )
+      : MAX_STALL_MS;
     this.isQuiet = now - this.lastPacket > Math.min(patience, MAX_STALL_MS);
     this.settle();
     return this.unacknowledged && now - this.lastAck > 900 ? this.acknowledge(null, now) : [];

@@ -12,7 +12,14 @@ export function colourOf(text) {
 }
 
 /** @type {(colour: number[]) => string} */
-const textOf = (colour) => colour.map((x) => Math.round(255 * x).toString(16).padStart(2, "0")).join("");
+const textOf = (colour) =>
+  colour
+    .map((x) =>
+      Math.round(255 * x)
+        .toString(16)
+        .padStart(2, "0"),
+    )
+    .join("");
 
 /** @param {Viewer} viewer @param {string | null} text */
 function choose(viewer, text) {
@@ -22,8 +29,12 @@ function choose(viewer, text) {
 
 /** What a menu shows of it. @param {Viewer} viewer @returns {HTMLElement[]} */
 export function backgroundItems(viewer) {
-  const { painter } = viewer, label = Object.assign(document.createElement("label"), { textContent: "Background" });
-  const field = Object.assign(document.createElement("input"), { type: "color", value: `#${textOf(painter.backdrop ?? painter.renderer.background)}` });
+  const { painter } = viewer,
+    label = Object.assign(document.createElement("label"), { textContent: "Background" });
+  const field = Object.assign(document.createElement("input"), {
+    type: "color",
+    value: `#${textOf(painter.backdrop ?? painter.renderer.background)}`,
+  });
   field.oninput = () => choose(viewer, field.value.slice(1));
   label.append(field);
   const own = menuItem("Background as filmed", "", painter.backdrop === null, () => {

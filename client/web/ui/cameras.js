@@ -2,17 +2,24 @@
 
 import { element } from "./page.js";
 
-const PICTURES_MS = 400, FIGURES_MS = 1000;
+const PICTURES_MS = 400,
+  FIGURES_MS = 1000;
 const RATE_MS = 6000; // over which pictures are counted
 const EMPTY = "data:image/gif;base64,R0lGODlhAQABAAAAACH5BAEKAAEALAAAAAABAAEAAAICTAEAOw=="; // else a browser draws a broken one
 /** What is wrong with a camera's times, by `time_fault` of docs/ingest.md. @type {Record<string, string>} */
-const TIMES = { still: "its times stand still: restart it", back: "its times run backwards: restart it", far: "its times are far from those of the others: set its clock" };
+const TIMES = {
+  still: "its times stand still: restart it",
+  back: "its times run backwards: restart it",
+  far: "its times are far from those of the others: set its clock",
+};
 
 /** @typedef {{ state: string, fault: string, refused: string, time_fault: string | null, size: [number, number] | null, counts: { received: number } }} Figures of a camera; docs/ingest.md */
 
 const options = new URLSearchParams(location.search);
-const place = new URL(`v1/streams/${encodeURIComponent(options.get("stream") ?? "main")}`, new URL(".", location.href)).href;
-const token = options.get("token"), headers = new Headers(token ? { Authorization: `Bearer ${token}` } : {});
+const place = new URL(`v1/streams/${encodeURIComponent(options.get("stream") ?? "main")}`, new URL(".", location.href))
+  .href;
+const token = options.get("token"),
+  headers = new Headers(token ? { Authorization: `Bearer ${token}` } : {});
 
 /** A camera on the page. */
 class Tile {
@@ -23,15 +30,24 @@ class Tile {
     this.image = Object.assign(document.createElement("img"), { alt: `What ${name} sees`, src: EMPTY });
     this.facts = document.createElement("p");
     this.trouble = Object.assign(document.createElement("p"), { className: "trouble" });
-    this.item.append(this.image, Object.assign(document.createElement("h2"), { textContent: name }), this.facts, this.trouble);
+    this.item.append(
+      this.image,
+      Object.assign(document.createElement("h2"), { textContent: name }),
+      this.facts,
+      this.trouble,
+    );
     /** @type {{ at: number, received: number }[]} */
     this.counted = [];
   }
 
   /** @param {Figures} figures @param {number} at - when they came, ms */
   tell({ state, fault, refused, time_fault, size, counts: { received } }, at) {
-    this.counted = [...this.counted.filter((one) => at - one.at <= RATE_MS && one.received <= received), { at, received }];
-    const [first] = this.counted, seconds = (at - first.at) / 1000;
+    this.counted = [
+      ...this.counted.filter((one) => at - one.at <= RATE_MS && one.received <= received),
+      { at, received },
+    ];
+    const [first] = this.counted,
+      seconds = (at - first.at) / 1000;
     const rate = seconds > 0.9 ? `${Math.round((received - first.received) / seconds)} a second` : "";
     if (size) this.image.style.aspectRatio = size.join("/");
     this.facts.textContent = [size?.join("×"), state === "lost" ? "" : rate].filter(Boolean).join(" · ");
@@ -67,7 +83,8 @@ function say(text, tone) {
 
 /** @param {{ ingest: { cameras: Record<string, Figures> } | null, camera_pictures: string[] }} stream */
 function tell({ ingest, camera_pictures }) {
-  const cameras = Object.entries(ingest?.cameras ?? {}), now = performance.now();
+  const cameras = Object.entries(ingest?.cameras ?? {}),
+    now = performance.now();
   seen = camera_pictures;
   for (const [name] of cameras) {
     if (tiles.has(name)) continue;
@@ -85,7 +102,11 @@ async function figures() {
   if (answer?.ok) return tell(await answer.json());
   seen = [];
   if (!answer) say("The server does not answer; this page goes on by itself once it does", "bad");
-  else say(answer.status === 404 ? "There is no such stream" : "This page needs the right to watch: open it with ?token=", "bad");
+  else
+    say(
+      answer.status === 404 ? "There is no such stream" : "This page needs the right to watch: open it with ?token=",
+      "bad",
+    );
 }
 
 /** Do something again and again while the page is looked at. @param {() => Promise<unknown>} act @param {number} ms */

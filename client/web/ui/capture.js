@@ -41,10 +41,13 @@ function openLink() {
     if (filming && link.state === "ended") stop("");
     fillNames();
     if (filming && link.refusals >= MAX_REFUSALS) {
-      const { name } = filming, isAnothers = link.refusal.includes("another phone");
+      const { name } = filming,
+        isAnothers = link.refusal.includes("another phone");
       const isRace = performance.now() - offeredAt < RACE_MS;
       if (isRace) chosen = null; // else the name stays: with another one, its pictures would count as filmed from another place
-      const way = isAnothers ? `If this is ${name}, press Stop there and Film here; else choose another name.` : "Press Film again.";
+      const way = isAnothers
+        ? `If this is ${name}, press Stop there and Film here; else choose another name.`
+        : "Press Film again.";
       stop(`The server refuses ${name}: it ${link.refusal}. ${way}`);
       if (isRace && link.cameras.some(({ taken }) => !taken)) start();
     }
@@ -60,8 +63,12 @@ function fillNames() {
     names.replaceChildren(...link.cameras.map(({ name }, row) => new Option(texts[row], name)));
     names.value = before;
   }
-  const isFree = (/** @type {{ taken: boolean }} */ { taken }) => !taken, had = link.cameras.find(({ name }) => name === formerName());
-  const mine = link.cameras.find(({ name }) => name === (filming?.name ?? chosen)) ?? [had, ...link.cameras].find((one) => one && isFree(one)) ?? had;
+  const isFree = (/** @type {{ taken: boolean }} */ { taken }) => !taken,
+    had = link.cameras.find(({ name }) => name === formerName());
+  const mine =
+    link.cameras.find(({ name }) => name === (filming?.name ?? chosen)) ??
+    [had, ...link.cameras].find((one) => one && isFree(one)) ??
+    had;
   names.value = mine?.name ?? link.cameras[0]?.name ?? "";
 }
 
@@ -87,7 +94,8 @@ async function start() {
   isInterrupted = false;
   end(); // many phones open one camera at a time
   try {
-    const wanted = link.cameras.find(({ name }) => name === names.value), size = wanted ?? FULL_SIZE;
+    const wanted = link.cameras.find(({ name }) => name === names.value),
+      size = wanted ?? FULL_SIZE;
     const silent = () => openCamera(choice.value, size, link.fps, false);
     const media = await (wanted?.sound ? openCamera(choice.value, size, link.fps, true).catch(silent) : silent());
     video.srcObject = media;
@@ -112,9 +120,15 @@ async function start() {
 
 /** Send the sound of `media`, too. @param {MediaStream} media @param {string} name */
 function listen(media, name) {
-  silence = media.getAudioTracks().length ? "" : "No sound is sent: there is no microphone, or the page may not use it. Allow it in the page's settings, beside its address, then press Stop and Film.";
+  silence = media.getAudioTracks().length
+    ? ""
+    : "No sound is sent: there is no microphone, or the page may not use it. Allow it in the page's settings, beside its address, then press Stop and Film.";
   if (silence) return;
-  microphone = new Microphone(media, options.get("sound") === "pcm", (takenMs, codec, sound) => link.hasRoom && link.send(name, takenMs, codec, sound));
+  microphone = new Microphone(
+    media,
+    options.get("sound") === "pcm",
+    (takenMs, codec, sound) => link.hasRoom && link.send(name, takenMs, codec, sound),
+  );
   microphone.ready.catch(() => {
     silence = "No sound is sent: this browser gives none.";
     tell();
@@ -124,7 +138,8 @@ function listen(media, name) {
 /** @param {unknown} error */
 function refusalOf(error) {
   const name = error instanceof Error ? error.name : "";
-  if (name === "NotAllowedError") return "The browser may not use the camera: allow it in the page's settings, beside its address.";
+  if (name === "NotAllowedError")
+    return "The browser may not use the camera: allow it in the page's settings, beside its address.";
   if (name === "NotFoundError") return "This device has no camera that the browser can use.";
   if (name === "NotReadableError") return "The camera is used by another program.";
   return `The camera cannot be opened: ${error instanceof Error ? error.message : error}.`;
@@ -132,7 +147,8 @@ function refusalOf(error) {
 
 /** @param {string} chosen */
 async function fillDevices(chosen) {
-  const found = await devices(), usual = chosen ? [] : [new Option("rear camera", "")];
+  const found = await devices(),
+    usual = chosen ? [] : [new Option("rear camera", "")];
   choice.replaceChildren(...usual, ...found.filter(({ id }) => id).map(({ id, label }) => new Option(label, id)));
   choice.value = chosen;
 }
@@ -157,14 +173,22 @@ function stop(why) {
 /** @returns {[string, string]} the tone and the sentence */
 function state() {
   if (trouble) return ["bad", trouble];
-  if (link.state === "ended") return ["bad", `The server does not take pictures from here: ${link.detail}.${link.isDenied && options.has("token") ? " Open this page by a link with another token." : ""}`];
+  if (link.state === "ended")
+    return [
+      "bad",
+      `The server does not take pictures from here: ${link.detail}.${link.isDenied && options.has("token") ? " Open this page by a link with another token." : ""}`,
+    ];
   if (link.state === "waiting") return ["busy", `Trying again: ${link.detail}.`];
   if (link.state === "connecting") return ["busy", "Connecting"];
   if (!link.cameras.length) return ["bad", `Stream ${stream} waits for no camera that a phone could be.`];
   if (!filming) return ["good", `Ready to film for stream ${stream}.`];
   if (filming.turned) return ["bad", "Turn the phone: the stream wants the other side up."];
-  if (performance.now() - filming.newest > STALLED_MS) return ["bad", "The camera gives no pictures: keep this page in front."];
-  const complaint = String(link.cameras.find(({ name }) => name === filming?.name)?.complaint ?? "").slice(0, MAX_COMPLAINT);
+  if (performance.now() - filming.newest > STALLED_MS)
+    return ["bad", "The camera gives no pictures: keep this page in front."];
+  const complaint = String(link.cameras.find(({ name }) => name === filming?.name)?.complaint ?? "").slice(
+    0,
+    MAX_COMPLAINT,
+  );
   if (complaint) return ["bad", `Filming as ${filming.name}, but ${complaint}.`];
   return ["live", `Filming as ${filming.name}.`];
 }
@@ -172,10 +196,13 @@ function state() {
 /** @returns {string[]} what is worth a word while filming */
 function notes() {
   if (!filming) return [];
-  const { held, awake } = filming, found = [];
-  if (hold.ariaPressed === "true" && held?.free.length) found.push(`This browser does not hold: ${held.free.join(", ")}.`);
+  const { held, awake } = filming,
+    found = [];
+  if (hold.ariaPressed === "true" && held?.free.length)
+    found.push(`This browser does not hold: ${held.free.join(", ")}.`);
   if (!awake) found.push("Keep the screen on: this browser does not do it.");
-  if (isSlow(rates.filmed, link.fps)) found.push(`The camera gives ${rates.filmed.toFixed(0)} pictures a second; the stream wants ${link.fps}.`);
+  if (isSlow(rates.filmed, link.fps))
+    found.push(`The camera gives ${rates.filmed.toFixed(0)} pictures a second; the stream wants ${link.fps}.`);
   if (silence) found.push(silence);
   if (rates.dropped) found.push("The line or this device is too slow: pictures are left out.");
   return found;
@@ -183,8 +210,11 @@ function notes() {
 
 /** What who carries the board is to know, from afar. */
 function tellBoard() {
-  const sight = filming && link.state === "open" ? link.cameras.find(({ name }) => name === filming?.name)?.board : undefined;
-  const board = element("board"), seen = sight?.seen === true, needs = String(sight?.needs ?? "").slice(0, MAX_NEED);
+  const sight =
+    filming && link.state === "open" ? link.cameras.find(({ name }) => name === filming?.name)?.board : undefined;
+  const board = element("board"),
+    seen = sight?.seen === true,
+    needs = String(sight?.needs ?? "").slice(0, MAX_NEED);
   board.hidden = !sight;
   board.classList.toggle("seen", seen || !needs);
   const text = !needs ? "enough" : seen ? `the board is seen, now: ${needs}` : `the board: ${needs}`;
@@ -205,7 +235,10 @@ function tell() {
   hold.hidden = !filming;
   tellBoard();
   const lines = notes();
-  if (lines.join() !== shown) element("notes").replaceChildren(...lines.map((line) => Object.assign(document.createElement("li"), { textContent: line })));
+  if (lines.join() !== shown)
+    element("notes").replaceChildren(
+      ...lines.map((line) => Object.assign(document.createElement("li"), { textContent: line })),
+    );
   shown = lines.join();
 }
 
@@ -215,24 +248,38 @@ let before = null;
 function showFigures() {
   if (link.state === "open") link.ask({ type: "cameras" }); // others may have begun to film, or the board to be walked
   const dropped = (filming?.dropped ?? 0) + link.counts.dropped;
-  const now = { of: filming, at: performance.now(), filmed: filming?.filmed ?? 0, sent: filming?.sent ?? 0, bytes: link.counts.bytes, dropped };
+  const now = {
+    of: filming,
+    at: performance.now(),
+    filmed: filming?.filmed ?? 0,
+    sent: filming?.sent ?? 0,
+    bytes: link.counts.bytes,
+    dropped,
+  };
   const since = filming && before?.of === filming ? before : null; // one that has just begun has no rate yet
   const seconds = since ? (now.at - since.at) / 1000 : 0;
-  for (const name of /** @type {const} */ (["filmed", "sent", "bytes", "dropped"])) rates[name] = since ? Math.max(0, now[name] - since[name]) / seconds : 0;
+  for (const name of /** @type {const} */ (["filmed", "sent", "bytes", "dropped"]))
+    rates[name] = since ? Math.max(0, now[name] - since[name]) / seconds : 0;
   before = now;
   element("figures").hidden = !filming;
-  const { clock, counts } = link, known = clock.count > 0;
+  const { clock, counts } = link,
+    known = clock.count > 0;
   const facts = {
     Picture: `${filming?.size ?? ""}, ${filming?.encoder?.codec ?? "none yet"}`,
     Sound: microphone ? (microphone.encoder ? "Opus" : "samples") : "none",
     Sent: since ? `${rates.sent.toFixed(0)} a second, ${((rates.bytes * 8) / 1e6).toFixed(1)} Mbit/s` : "not known yet",
     "Left out": `${dropped}`,
     Refused: counts.refused ? `${counts.refused}: ${link.refusal}` : "0",
-    Clock: known ? `server's ${describeMs(clock.at(now.at) - Date.now())}, to ${clock.errorAt(now.at).toFixed(1)} ms` : "not known yet",
+    Clock: known
+      ? `server's ${describeMs(clock.at(now.at) - Date.now())}, to ${clock.errorAt(now.at).toFixed(1)} ms`
+      : "not known yet",
   };
-  element("figures").replaceChildren(...Object.entries(facts).flatMap(([name, value]) => [
-    Object.assign(document.createElement("dt"), { textContent: name }), Object.assign(document.createElement("dd"), { textContent: value }),
-  ]));
+  element("figures").replaceChildren(
+    ...Object.entries(facts).flatMap(([name, value]) => [
+      Object.assign(document.createElement("dt"), { textContent: name }),
+      Object.assign(document.createElement("dd"), { textContent: value }),
+    ]),
+  );
   tell();
 }
 
@@ -243,7 +290,8 @@ if (!window.isSecureContext || !navigator.mediaDevices) {
   link.close();
   document.body.dataset.tone = "bad";
   const better = `https${location.href.slice(location.protocol.length - 1)}`;
-  element("status-text").textContent = `Browsers give the camera only to pages with https in their address: open ${better}, or this page on the server's own machine as localhost.`;
+  element("status-text").textContent =
+    `Browsers give the camera only to pages with https in their address: open ${better}, or this page on the server's own machine as localhost.`;
   element("controls").hidden = true;
 } else if (!("requestVideoFrameCallback" in video)) {
   link.close();

@@ -8,28 +8,40 @@ import { poseAt } from "../view/path.js";
 /** @typedef {import("../view/viewer.js").Viewer} Viewer */
 /** @typedef {{ width: number, height: number, fps: number }} Format */
 
-const TYPES = ["video/mp4;codecs=avc1.640028", "video/mp4", "video/webm;codecs=vp9", "video/webm;codecs=vp8", "video/webm"];
+const TYPES = [
+  "video/mp4;codecs=avc1.640028",
+  "video/mp4",
+  "video/webm;codecs=vp9",
+  "video/webm;codecs=vp8",
+  "video/webm",
+];
 const BITS_A_PIXEL = 0.2; // and picture
 const WAIT_MS = 5000; // for one picture
 
-/** The next picture, of `version` if that is given. @param {Viewer} viewer @param {number | null} version @returns {Promise<void>} */
-const nextPicture = (viewer, version) => new Promise((resolve, reject) => {
-  /** @param {Event} event */
-  const look = (event) => {
-    if (version !== null && /** @type {CustomEvent} */ (event).detail.version !== version) return;
-    done();
-    resolve();
-  };
-  const timer = setTimeout(() => {
-    done();
-    reject(new Error("a picture of the film did not come"));
-  }, WAIT_MS);
-  const done = () => {
-    clearTimeout(timer);
-    viewer.removeEventListener("picture", look);
-  };
-  viewer.addEventListener("picture", look);
-});
+/**
+ * The next picture, of `version` if that is given.
+ * @param {Viewer} viewer
+ * @param {number | null} version
+ * @returns {Promise<void>}
+ */
+const nextPicture = (viewer, version) =>
+  new Promise((resolve, reject) => {
+    /** @param {Event} event */
+    const look = (event) => {
+      if (version !== null && /** @type {CustomEvent} */ (event).detail.version !== version) return;
+      done();
+      resolve();
+    };
+    const timer = setTimeout(() => {
+      done();
+      reject(new Error("a picture of the film did not come"));
+    }, WAIT_MS);
+    const done = () => {
+      clearTimeout(timer);
+      viewer.removeEventListener("picture", look);
+    };
+    viewer.addEventListener("picture", look);
+  });
 
 /**
  * Draw all pictures of the film, in its own size and time.
@@ -41,7 +53,8 @@ const nextPicture = (viewer, version) => new Promise((resolve, reject) => {
  * @param {AbortSignal} signal
  */
 async function draw(viewer, timeline, path, { width, height, fps, count, goesOn }, tell, signal) {
-  const { canvas, stance, painter } = viewer, begin = timeline.position && timeline.strip.placeOf(timeline.position);
+  const { canvas, stance, painter } = viewer,
+    begin = timeline.position && timeline.strip.placeOf(timeline.position);
   /** @type {Blob[]} */
   const pictures = [];
   let version = timeline.version;
@@ -60,18 +73,35 @@ async function draw(viewer, timeline, path, { width, height, fps, count, goesOn 
     await comes;
     [canvas.width, canvas.height] = [width, height];
     painter.renderer.draw({ ...viewer.view(), share: 1 });
-    pictures.push(await new Promise((resolve, reject) => painter.renderer.canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("a picture of the film could not be kept"))), "image/webp", 0.95)));
+    pictures.push(
+      await new Promise((resolve, reject) =>
+        painter.renderer.canvas.toBlob(
+          (blob) => (blob ? resolve(blob) : reject(new Error("a picture of the film could not be kept"))),
+          "image/webp",
+          0.95,
+        ),
+      ),
+    );
     tell((i + 1) / count);
   }
   return pictures;
 }
 
-/** Play pictures to the recorder, at their pace. @param {Blob[]} pictures @param {Format} format @param {AbortSignal} signal @returns {Promise<Blob>} */
+/**
+ * Play pictures to the recorder, at their pace.
+ * @param {Blob[]} pictures
+ * @param {Format} format
+ * @param {AbortSignal} signal
+ * @returns {Promise<Blob>}
+ */
 async function record(pictures, { width, height, fps }, signal) {
   const canvas = Object.assign(document.createElement("canvas"), { width, height });
   const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d", { alpha: false }));
   const mimeType = TYPES.find((type) => MediaRecorder.isTypeSupported(type));
-  const recorder = new MediaRecorder(canvas.captureStream(fps), { mimeType, videoBitsPerSecond: BITS_A_PIXEL * width * height * fps });
+  const recorder = new MediaRecorder(canvas.captureStream(fps), {
+    mimeType,
+    videoBitsPerSecond: BITS_A_PIXEL * width * height * fps,
+  });
   /** @type {Blob[]} */
   const parts = [];
   recorder.ondataavailable = ({ data }) => parts.push(data);
@@ -105,12 +135,22 @@ async function record(pictures, { width, height, fps }, signal) {
  * @returns {Promise<Blob>}
  */
 export async function film(viewer, timeline, path, format, tell, signal) {
-  const { canvas, stance } = viewer, { pose } = stance, stood = timeline.stands, wasLive = timeline.status?.mode === "live" && !timeline.recording;
+  const { canvas, stance } = viewer,
+    { pose } = stance,
+    stood = timeline.stands,
+    wasLive = timeline.status?.mode === "live" && !timeline.recording;
   if (!stood) timeline.pause();
   viewer.presenting = true; // the page draws nothing meanwhile
   try {
     const count = Math.max(1, Math.round(format.seconds * format.fps));
-    const pictures = await draw(viewer, timeline, path, { ...format, count, goesOn: !stood && timeline.recording }, tell, signal);
+    const pictures = await draw(
+      viewer,
+      timeline,
+      path,
+      { ...format, count, goesOn: !stood && timeline.recording },
+      tell,
+      signal,
+    );
     return await record(pictures, format, signal);
   } finally {
     viewer.presenting = false;

@@ -4,7 +4,8 @@ import { orbit } from "../view/camera.js";
 import { turnAt, turns } from "../view/flight.js";
 import { toast } from "./page.js";
 
-const FLIGHT_MS = 7000, OPENING_MS = 4500;
+const FLIGHT_MS = 7000,
+  OPENING_MS = 4500;
 const OPENING_TURN = 0.5; // of what a flight turns
 const HANDS = ["pointerdown", "wheel", "keydown"]; // what ends a flight
 const still = matchMedia("(prefers-reduced-motion: reduce)");
@@ -21,7 +22,9 @@ export class Flight {
   /** Stop time and sweep; afterwards time goes on as before. A second call ends it. */
   toggle() {
     if (this.stop) return this.stop();
-    const { timeline, viewer } = this, { mode, position } = timeline.status ?? {}, stood = timeline.stands;
+    const { timeline, viewer } = this,
+      { mode, position } = timeline.status ?? {},
+      stood = timeline.stands;
     if (!viewer.picture) return;
     if (!stood) timeline.pause();
     this.#sweep(FLIGHT_MS, 1, () => {
@@ -39,7 +42,11 @@ export class Flight {
 
   /** @param {number} ms @param {number} share - of the turns @param {() => void} then */
   #sweep(ms, share, then) {
-    const { viewer } = this, { stance } = viewer, { pose, up, aim } = stance, range = turns(stance.space, pose, up), begin = performance.now();
+    const { viewer } = this,
+      { stance } = viewer,
+      { pose, up, aim } = stance,
+      range = turns(stance.space, pose, up),
+      begin = performance.now();
     const end = () => {
       this.stop = null;
       viewer.removeEventListener("frame", step);

@@ -23,10 +23,20 @@ export function createHandle(viewer, timeline, delay, destroy) {
     get state() {
       const { status, picture } = viewer;
       return {
-        phase: status?.phase ?? "connecting", source: status?.source ?? null, mode: status?.mode ?? "live",
-        behindSeconds: status?.lagSeconds ?? null, latencyMs: delay.seconds === null ? null : Math.round(1000 * delay.seconds), fraction: status?.fraction ?? null, position: status?.position ?? null,
-        window: status?.window ?? null, version: picture?.version ?? null, splats: picture?.splats ?? 0, fps: viewer.pace.fps, camera: toText(viewer.stance.pose),
-        viewers: viewer.watchers, sound: viewer.sound?.state ?? null,
+        phase: status?.phase ?? "connecting",
+        source: status?.source ?? null,
+        mode: status?.mode ?? "live",
+        behindSeconds: status?.lagSeconds ?? null,
+        latencyMs: delay.seconds === null ? null : Math.round(1000 * delay.seconds),
+        fraction: status?.fraction ?? null,
+        position: status?.position ?? null,
+        window: status?.window ?? null,
+        version: picture?.version ?? null,
+        splats: picture?.splats ?? 0,
+        fps: viewer.pace.fps,
+        camera: toText(viewer.stance.pose),
+        viewers: viewer.watchers,
+        sound: viewer.sound?.state ?? null,
       };
     },
     /** @type {(name: string, listener: (detail: any) => void) => () => void} returns the way to stop listening */
@@ -55,9 +65,13 @@ export function createHandle(viewer, timeline, delay, destroy) {
       need(typeof loop === "boolean", "loop takes true or false");
       timeline.setLoop(loop);
     },
-    /** Stand at a rig camera (number), or where a text of `state.camera` says. @type {(camera: number | string) => void} */
+    /**
+     * Stand at a rig camera (number), or where a text of `state.camera` says.
+     * @type {(camera: number | string) => void}
+     */
     setCamera(camera) {
-      const rig = typeof camera === "number" && viewer.scene?.cameras[camera], pose = rig ? null : fromText(String(camera));
+      const rig = typeof camera === "number" && viewer.scene?.cameras[camera],
+        pose = rig ? null : fromText(String(camera));
       need(rig || pose, "no such camera");
       viewer.stance.posed = true;
       if (pose) viewer.stance.moveTo(pose, false);
@@ -77,12 +91,16 @@ export function listenToParent(handle) {
   if (window.parent === window) return;
   let gone = false;
   /** @param {string} event */
-  const tell = (event) => window.parent.postMessage({ streamlod: "event", version: VERSION, event, state: handle.state }, "*");
+  const tell = (event) =>
+    window.parent.postMessage({ streamlod: "event", version: VERSION, event, state: handle.state }, "*");
   for (const name of EVENTS) handle.on(name, () => tell(name));
   /** @param {any} call */
   const answer = async ({ streamlod: method, version = VERSION, arguments: all = [] }) => {
     need(version === VERSION, `this page speaks version ${VERSION} of the messages`);
-    need(METHODS.includes(method), `there is no method ${String(method).slice(0, 40)}; there are ${METHODS.join(", ")}`);
+    need(
+      METHODS.includes(method),
+      `there is no method ${String(method).slice(0, 40)}; there are ${METHODS.join(", ")}`,
+    );
     need(Array.isArray(all), "arguments must be an array");
     need(!gone, "the player was destroyed");
     if (method === "state") return handle.state;
@@ -92,7 +110,10 @@ export function listenToParent(handle) {
   window.addEventListener("message", async ({ data, source, origin }) => {
     if (source !== window.parent || typeof data !== "object" || data?.streamlod === undefined) return;
     const head = { streamlod: "answer", version: VERSION, id: data.id ?? null };
-    const reply = await answer(data).then((result) => ({ ...head, result }), (error) => ({ ...head, error: error instanceof Error ? error.message : String(error) }));
+    const reply = await answer(data).then(
+      (result) => ({ ...head, result }),
+      (error) => ({ ...head, error: error instanceof Error ? error.message : String(error) }),
+    );
     window.parent.postMessage(reply, origin === "null" ? "*" : origin);
   });
   tell("ready");

@@ -10,7 +10,11 @@ export const blurOf = (text) => (/^\d{1,3}$/.test(text ?? "") ? Math.min(Number(
 /** What a menu shows of it. @param {import("../view/viewer.js").Viewer} viewer @returns {HTMLElement[]} */
 export function lensItems(viewer) {
   const label = Object.assign(document.createElement("label"), { textContent: "Depth of field" });
-  const field = Object.assign(document.createElement("input"), { type: "range", max: String(STEPS), value: String(STEPS * viewer.blur) });
+  const field = Object.assign(document.createElement("input"), {
+    type: "range",
+    max: String(STEPS),
+    value: String(STEPS * viewer.blur),
+  });
   field.oninput = () => {
     keepInAddress("blur", field.value === "0" ? null : field.value);
     viewer.focus(blurOf(field.value));

@@ -38,7 +38,8 @@ document.body.classList.toggle("bare", options.get("ui") === "0");
 /** @returns {Promise<Viewer | null>} drawn here if that can be, else by the server */
 async function createViewer() {
   try {
-    if (options.get("thin") !== "1" || recording) return new Viewer(canvas, await drawHere(canvas, options.get("webgpu")));
+    if (options.get("thin") !== "1" || recording)
+      return new Viewer(canvas, await drawHere(canvas, options.get("webgpu")));
   } catch {
     if (recording) return cannotDraw();
   }
@@ -71,7 +72,9 @@ async function start(viewer) {
   const isShared = viewer.thin || (!recording && options.get("together") === "1"); // a played file is seen where the server plays it
   const token = recording ? null : options.get("token"); // files of other servers must not get it
   let told = false; // that the server can draw
-  let retryAt = 0, shown = -1, place = "";
+  let retryAt = 0,
+    shown = -1,
+    place = "";
 
   const destroy = () => {
     controls.destroy();
@@ -82,11 +85,16 @@ async function start(viewer) {
   listenToParent(handle);
 
   const refresh = () => {
-    const { status } = viewer, { isLost } = viewer.painter;
+    const { status } = viewer,
+      { isLost } = viewer.painter;
     if (!status) return;
     delay.show(status, isLost);
     element("stage").toggleAttribute("data-lost", isLost); // browsers draw a canvas without graphics as a broken image
-    show(isLost ? lostGraphics(recording ? "Reload" : "Let the server draw") : words(status, viewer.picture !== null, retryAt - performance.now()));
+    show(
+      isLost
+        ? lostGraphics(recording ? "Reload" : "Let the server draw")
+        : words(status, viewer.picture !== null, retryAt - performance.now()),
+    );
     timeline.update(status);
     if (timeline.stands) wake();
   };
@@ -101,7 +109,8 @@ async function start(viewer) {
   });
   /** A link may name a moment: stand still there, once. */
   const openMoment = () => {
-    const t = options.get("t"), epoch = options.get("epoch");
+    const t = options.get("t"),
+      epoch = options.get("epoch");
     if (t === null || !viewer.scene || !timeline.window) return;
     options.delete("t");
     if (/^\d+$/.test(t)) timeline.showMoment(Number(t), epoch === null ? null : Number(epoch));
@@ -109,7 +118,8 @@ async function start(viewer) {
   viewer.addEventListener("picture", (event) => {
     const { detail } = /** @type {CustomEvent} */ (event);
     // Both, as a later one may be decoded already, and the timeline takes one for the time of the other.
-    if (detail.position && viewer.status) Object.assign(viewer.status, { position: detail.position, filmedMs: detail.timeMs ?? null });
+    if (detail.position && viewer.status)
+      Object.assign(viewer.status, { position: detail.position, filmedMs: detail.timeMs ?? null });
     element("stage").toggleAttribute("data-shown", true);
     openMoment(); // where the scene came after the status
     rates.frame(detail, viewer.status?.bytes ?? 0);
@@ -121,12 +131,16 @@ async function start(viewer) {
   /** @param {string | null} address - null for live sound @param {import("./sound.js").Told | null} told */
   const offerSound = async (address, told) => {
     if (viewer.thin) return; // pictures that the server draws do not say when they were filmed
-    const played = recording, { Sound } = await import("./sound.js");
+    const played = recording,
+      { Sound } = await import("./sound.js");
     if (recording === played) viewer.sound ??= new Sound(viewer, timeline, address, token, told);
   };
   viewer.addEventListener("sound", (event) => {
     const { begin_ns, live, camera } = /** @type {CustomEvent} */ (event).detail;
-    if (!recording && !viewer.sound) live ? offerSound(null, { beginMs: 0, camera }) : offerSound(`${place}/sound`, { beginMs: begin_ns / 1e6, camera });
+    if (!recording && !viewer.sound)
+      live
+        ? offerSound(null, { beginMs: 0, camera })
+        : offerSound(`${place}/sound`, { beginMs: begin_ns / 1e6, camera });
   });
   viewer.addEventListener("moments", (event) => timeline.holds(/** @type {CustomEvent} */ (event).detail.moments));
   viewer.addEventListener("drawn", (event) => {
@@ -134,7 +148,10 @@ async function start(viewer) {
     quality.frame(ms, all);
     if (quality.isTooSlow && !told && !recording) {
       told = true;
-      toast("This device is slow at drawing this scene", SLOW_MS, { label: "Let the server draw", act: () => drawThere(true) });
+      toast("This device is slow at drawing this scene", SLOW_MS, {
+        label: "Let the server draw",
+        act: () => drawThere(true),
+      });
     }
   });
   viewer.addEventListener("graphics", refresh);
@@ -165,7 +182,13 @@ async function start(viewer) {
     if (viewer.pictured.includes(camera.name)) showPicture(camera.name);
   };
   /** @param {string} name */
-  const showPicture = (name) => showSource(name, `${place}/cameras/${encodeURIComponent(name)}.jpg`, token, () => viewer.running && !timeline.stands);
+  const showPicture = (name) =>
+    showSource(
+      name,
+      `${place}/cameras/${encodeURIComponent(name)}.jpg`,
+      token,
+      () => viewer.running && !timeline.stands,
+    );
   const fullScreen = () => {
     if (document.fullscreenElement) document.exitFullscreen();
     else document.documentElement.requestFullscreen?.().catch(() => toast("Full screen is not allowed here"));
@@ -205,7 +228,11 @@ async function start(viewer) {
   };
   for (const kind of /** @type {("vr" | "ar")[]} */ (["vr", "ar"])) {
     button(`b-${kind}`).onclick = () => putOn(kind);
-    if (!viewer.thin) navigator.xr?.isSessionSupported(`immersive-${kind}`).then((can) => (button(`b-${kind}`).hidden = !can), () => {});
+    if (!viewer.thin)
+      navigator.xr?.isSessionSupported(`immersive-${kind}`).then(
+        (can) => (button(`b-${kind}`).hidden = !can),
+        () => {},
+      );
   }
   button("b-stats").onclick = statistics;
   button("b-help").onclick = help;
@@ -237,19 +264,43 @@ async function start(viewer) {
   const qualityMenu = element("quality-menu");
   attachMenu(button("b-quality"), qualityMenu, () => {
     const note = Object.assign(document.createElement("p"), { textContent: quality.explain() });
-    qualityMenu.replaceChildren(note, ...QUALITIES.map(({ name, label, note: small }) =>
-      menuItem(label, small, quality.name === name, () => {
-        quality.choose(name);
-        button("b-quality").click();
-      })));
+    qualityMenu.replaceChildren(
+      note,
+      ...QUALITIES.map(({ name, label, note: small }) =>
+        menuItem(label, small, quality.name === name, () => {
+          quality.choose(name);
+          button("b-quality").click();
+        }),
+      ),
+    );
     if (!viewer.thin) qualityMenu.append(...backgroundItems(viewer), ...lensItems(viewer));
-    if (!recording) qualityMenu.append(menuItem("Server draws", "slow devices", viewer.thin, () => drawThere(!viewer.thin)));
+    if (!recording)
+      qualityMenu.append(menuItem("Server draws", "slow devices", viewer.thin, () => drawThere(!viewer.thin)));
   });
 
   /** @type {Record<string, () => unknown>} */
   const keys = {
-    " ": () => timeline.toggle(), ",": () => timeline.step(-1), ".": () => timeline.step(1), home: () => timeline.begin(), j: () => timeline.skip(-10), k: () => timeline.toggle(), l: () => timeline.skip(10),
-    end: () => timeline.live(), m: () => timeline.position && timeline.marks.toggle(timeline.position), r: goHome, f: fullScreen, t: () => flight.toggle(), g: () => together.toggle(), v: () => putOn("vr"), p: () => savePicture(viewer), y: () => copyMoment(viewer), i: statistics, h: help, "?": help, c: () => button("b-cameras").click(), b: () => button("b-path").click(),
+    " ": () => timeline.toggle(),
+    ",": () => timeline.step(-1),
+    ".": () => timeline.step(1),
+    home: () => timeline.begin(),
+    j: () => timeline.skip(-10),
+    k: () => timeline.toggle(),
+    l: () => timeline.skip(10),
+    end: () => timeline.live(),
+    m: () => timeline.position && timeline.marks.toggle(timeline.position),
+    r: goHome,
+    f: fullScreen,
+    t: () => flight.toggle(),
+    g: () => together.toggle(),
+    v: () => putOn("vr"),
+    p: () => savePicture(viewer),
+    y: () => copyMoment(viewer),
+    i: statistics,
+    h: help,
+    "?": help,
+    c: () => button("b-cameras").click(),
+    b: () => button("b-path").click(),
   };
   window.addEventListener("keydown", (event) => {
     const target = /** @type {HTMLElement} */ (event.target);
@@ -273,12 +324,26 @@ async function start(viewer) {
   });
   if (options.has("path")) loadPaths();
 
-  controls.mayDrift = () => quality.step === 0 && together.role === "apart" && !flight.stop && !paths?.stop && MOVING.includes(viewer.status?.phase ?? "");
-  if (!viewer.thin && !options.has("camera") && options.get("sway") !== "0" && (!viewer.painter.software || options.get("sway") === "1")) {
-    viewer.addEventListener("picture", () => setTimeout(() => quality.step === 0 && flight.open(), OPENING_AFTER_MS), { once: true });
+  controls.mayDrift = () =>
+    quality.step === 0 &&
+    together.role === "apart" &&
+    !flight.stop &&
+    !paths?.stop &&
+    MOVING.includes(viewer.status?.phase ?? "");
+  if (
+    !viewer.thin &&
+    !options.has("camera") &&
+    options.get("sway") !== "0" &&
+    (!viewer.painter.software || options.get("sway") === "1")
+  ) {
+    viewer.addEventListener("picture", () => setTimeout(() => quality.step === 0 && flight.open(), OPENING_AFTER_MS), {
+      once: true,
+    });
   }
   attachPhone(viewer);
-  const wake = hideWhenIdle(() => viewer.picture !== null && !timeline.stands && !document.querySelector(".sheet, .menu:not([hidden])"));
+  const wake = hideWhenIdle(
+    () => viewer.picture !== null && !timeline.stands && !document.querySelector(".sheet, .menu:not([hidden])"),
+  );
   viewer.addEventListener("picture", wake, { once: true });
   window.addEventListener("pagehide", () => clearInterval(heartbeat));
 
@@ -309,7 +374,12 @@ async function start(viewer) {
   const offer = (address) => {
     Object.assign(source, { address });
     attachSharing(source, timeline);
-    if (!viewer.thin) timeline.scrub.addEventListener("pointermove", async (event) => (await import("./moments.js")).attachPeek(source, timeline)(event), { once: true });
+    if (!viewer.thin)
+      timeline.scrub.addEventListener(
+        "pointermove",
+        async (event) => (await import("./moments.js")).attachPeek(source, timeline)(event),
+        { once: true },
+      );
   };
   if (recording) {
     const url = new URL(recording, location.href).href;
@@ -325,16 +395,25 @@ async function start(viewer) {
   place = serverPath(`v1/streams/${encodeURIComponent(stream)}`);
   offer((epoch) => {
     if (!viewer.status?.window) return null;
-    return viewer.status.source === "recording" ? `${place}/recording` : `${place}/bitstream${epoch === undefined ? "" : `?epoch=${epoch}`}`;
+    return viewer.status.source === "recording"
+      ? `${place}/recording`
+      : `${place}/bitstream${epoch === undefined ? "" : `?epoch=${epoch}`}`;
   });
   followPast(place, token, viewer, timeline);
   countWatchers(options, stream, viewer);
-  viewer.tell({ type: "connect", live: liveAddress(stream), file: isShared ? null : `${place}/recording`, token, wishes });
+  viewer.tell({
+    type: "connect",
+    live: liveAddress(stream),
+    file: isShared ? null : `${place}/recording`,
+    token,
+    wishes,
+  });
 }
 
 /** Begin anew with the token that was entered. */
 function enterToken() {
-  const field = /** @type {HTMLInputElement} */ (element("card-token")), given = field.value.trim();
+  const field = /** @type {HTMLInputElement} */ (element("card-token")),
+    given = field.value.trim();
   if (!given) return field.focus();
   const address = new URL(location.href);
   address.searchParams.set("token", given);

@@ -23,7 +23,9 @@ export class Marks {
 
   /** Mark a moment, or take its mark away. @param {Moment} moment */
   toggle(moment) {
-    const old = this.list.find(({ moment: { epoch, version } }) => version === moment.version && (epoch ?? moment.epoch) === moment.epoch);
+    const old = this.list.find(
+      ({ moment: { epoch, version } }) => version === moment.version && (epoch ?? moment.epoch) === moment.epoch,
+    );
     if (old) return this.#remove(old);
     const button = document.createElement("button");
     const mark = { moment, button, name: "" };
@@ -72,7 +74,8 @@ export class Marks {
 
   /** @param {KeyboardEvent} event @param {Mark} mark */
   #key(event, mark) {
-    const position = this.#position(mark.moment), by = event.key === "ArrowLeft" ? -1 : event.key === "ArrowRight" ? 1 : 0;
+    const position = this.#position(mark.moment),
+      by = event.key === "ArrowLeft" ? -1 : event.key === "ArrowRight" ? 1 : 0;
     if (event.key === "Delete" || event.key === "Backspace") this.#remove(mark);
     else if (event.key === "F2") this.#name(mark);
     else if (by && position) mark.moment = { ...position, version: Math.max(0, position.version + by) };
@@ -84,19 +87,23 @@ export class Marks {
 
   /** @param {PointerEvent} event @param {Mark} mark */
   #drag(event, mark) {
-    const { button } = mark, { scrub, strip } = this.timeline, from = event.clientX;
+    const { button } = mark,
+      { scrub, strip } = this.timeline,
+      from = event.clientX;
     let moved = false;
     button.setPointerCapture(event.pointerId);
     button.onpointermove = ({ clientX }) => {
       moved ||= Math.abs(clientX - from) > DRAG_PX;
-      const box = scrub.getBoundingClientRect(), share = Math.min(Math.max((clientX - box.left - 8) / (box.width - 16), 0), 1);
+      const box = scrub.getBoundingClientRect(),
+        share = Math.min(Math.max((clientX - box.left - 8) / (box.width - 16), 0), 1);
       const position = moved ? strip.positionAt(share * strip.seconds) : null;
       if (position) mark.moment = position;
       this.place();
     };
     button.onpointerup = button.onpointercancel = () => {
       button.onpointermove = null;
-      if (moved) button.addEventListener("click", (click) => click.stopImmediatePropagation(), { capture: true, once: true });
+      if (moved)
+        button.addEventListener("click", (click) => click.stopImmediatePropagation(), { capture: true, once: true });
     };
   }
 
@@ -105,7 +112,11 @@ export class Marks {
     const { strip } = this.timeline;
     for (const { moment, button, name } of this.list) {
       const position = this.#position(moment);
-      const part = position && strip.parts.find(({ epoch, first, last }) => epoch === position.epoch && first <= position.version && position.version <= last);
+      const part =
+        position &&
+        strip.parts.find(
+          ({ epoch, first, last }) => epoch === position.epoch && first <= position.version && position.version <= last,
+        );
       button.hidden = !part;
       if (!part || !position) continue;
       const place = strip.placeOf(position);

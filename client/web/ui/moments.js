@@ -35,14 +35,17 @@ class Moments {
 
 /** The moment under the pointer. @param {Source} source @param {import("./timeline.js").Timeline} timeline */
 export function attachPeek(source, timeline) {
-  const place = element("t-peek"), { scrub } = timeline;
+  const place = element("t-peek"),
+    { scrub } = timeline;
   /** @type {Moments | null} */
   let moments = null;
   let leaving = 0;
   /** @param {PointerEvent} event */
   const move = ({ pointerType, offsetX }) => {
     const share = Math.min(Math.max((offsetX - THUMB_PX / 2) / (scrub.clientWidth - THUMB_PX), 0), 1);
-    const { strip } = timeline, position = strip.positionAt(share * strip.seconds), file = position && source.address(position.epoch);
+    const { strip } = timeline,
+      position = strip.positionAt(share * strip.seconds),
+      file = position && source.address(position.epoch);
     if (pointerType !== "mouse" || !file) return;
     clearTimeout(leaving);
     element("t-peek-time").textContent = clock(strip.filmedBefore(share * strip.seconds));

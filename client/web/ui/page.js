@@ -13,7 +13,11 @@ export const button = (id) => /** @type {HTMLButtonElement} */ (element(id));
 /** @type {(id: string, icon: string) => void} show another icon on a button */
 export const setIcon = (id, icon) => element(id).querySelector("use")?.setAttribute("href", `#i-${icon}`);
 
-/** Keep what is chosen in the page's address; null: as usual, which is left out. @param {string} name @param {string | null} text */
+/**
+ * Keep what is chosen in the page's address; null: as usual, which is left out.
+ * @param {string} name
+ * @param {string | null} text
+ */
 export function keepInAddress(name, text) {
   const address = new URL(location.href);
   if (text) address.searchParams.set(name, text);
@@ -22,9 +26,13 @@ export function keepInAddress(name, text) {
 }
 
 let toastTimer = 0;
-/** A line that goes away by itself, with a button where there is something to do about it. @type {(text: string, ms?: number, offer?: { label: string, act: () => void } | null) => void} */
+/**
+ * A line that goes away by itself, with a button where there is something to do about it.
+ * @type {(text: string, ms?: number, offer?: { label: string, act: () => void } | null) => void}
+ */
 export function toast(text, ms = 2600, offer = null) {
-  const line = element("toast"), way = button("toast-button");
+  const line = element("toast"),
+    way = button("toast-button");
   element("toast-text").textContent = text;
   way.hidden = !offer;
   way.textContent = offer?.label ?? "";
@@ -40,7 +48,10 @@ export function toast(text, ms = 2600, offer = null) {
 /** @type {(() => void) | null} */
 let closeOpenMenu = null;
 
-/** A menu under a button: opens, closes, also when the focus leaves, and moves by arrow keys. @type {(button: HTMLElement, menu: HTMLElement, fill: () => void) => void} */
+/**
+ * A menu under a button: opens, closes, also when the focus leaves, and moves by arrow keys.
+ * @type {(button: HTMLElement, menu: HTMLElement, fill: () => void) => void}
+ */
 export function attachMenu(opener, menu, fill) {
   const close = () => {
     menu.hidden = true;

@@ -13,9 +13,13 @@ const RENEW_MS = 60_000; // old groups leave, new ones come
  * @param {import("./timeline.js").Timeline} timeline
  */
 export function followPast(address, token, viewer, timeline) {
-  let known = "", askedAt = -Infinity, asking = false;
+  let known = "",
+    askedAt = -Infinity,
+    asking = false;
   const ask = async () => {
-    const { status } = viewer, { window: range } = status ?? {}, now = performance.now();
+    const { status } = viewer,
+      { window: range } = status ?? {},
+      now = performance.now();
     if (!range || status?.source === "recording" || asking) return;
     const shape = `${range.oldest.epoch} ${range.newest.epoch} ${range.oldest.version}`;
     if (now - askedAt < (shape === known ? RENEW_MS : PAUSE_MS) || document.hidden) return;

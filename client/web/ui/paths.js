@@ -42,7 +42,10 @@ export class Paths {
     }
   }
 
-  /** @param {Path} path @param {boolean} [isDrawn] - the panel shows it already, as whoever edits a field goes on to the next */
+  /**
+   * @param {Path} path
+   * @param {boolean} [isDrawn] - the panel shows it already, as whoever edits a field goes on to the next
+   */
   #change(path, isDrawn = false) {
     this.path = path;
     keepInAddress("path", path.keys.length ? toLink(path) : null);
@@ -54,11 +57,19 @@ export class Paths {
     this.#change({ ...this.path, ...changes });
   }
 
-  /** Change a viewpoint, from a field that shows that already. @param {number} i @param {Partial<import("../view/path.js").Key>} changes */
+  /**
+   * Change a viewpoint, from a field that shows that already.
+   * @param {number} i
+   * @param {Partial<import("../view/path.js").Key>} changes
+   */
   #edit(i, changes) {
-    const edited = this.path.keys.map((key, j) => (j === i ? { ...key, ...changes } : key)), keys = [...edited].sort((a, b) => a.seconds - b.seconds);
+    const edited = this.path.keys.map((key, j) => (j === i ? { ...key, ...changes } : key)),
+      keys = [...edited].sort((a, b) => a.seconds - b.seconds);
     try {
-      this.#change(checked({ version: 1, ...this.path, keys }), keys.every((key, j) => key === edited[j]));
+      this.#change(
+        checked({ version: 1, ...this.path, keys }),
+        keys.every((key, j) => key === edited[j]),
+      );
     } catch {
       toast("Two viewpoints cannot have the same time");
       this.#fill();
@@ -67,18 +78,23 @@ export class Paths {
 
   /** Add the view that is seen. */
   add() {
-    const { keys } = this.path, seconds = keys.length ? lengthOf(this.path) + STEP_SECONDS : 0;
+    const { keys } = this.path,
+      seconds = keys.length ? lengthOf(this.path) + STEP_SECONDS : 0;
     if (keys.length >= MAX_KEYS) return toast(`A path has at most ${MAX_KEYS} viewpoints`);
-    this.#set({ keys: [...keys, { seconds, camera: toText(this.viewer.stance.pose), name: `View ${keys.length + 1}` }] });
+    this.#set({
+      keys: [...keys, { seconds, camera: toText(this.viewer.stance.pose), name: `View ${keys.length + 1}` }],
+    });
   }
 
   /** Move along the path, or stop. */
   toggle() {
     if (this.stop) return this.stop();
-    const { viewer, path } = this, begin = performance.now();
+    const { viewer, path } = this,
+      begin = performance.now();
     if (path.keys.length < 2) return toast("A path needs two viewpoints");
     const step = () => {
-      const t = (performance.now() - begin) / 1000, pose = poseAt(path, t);
+      const t = (performance.now() - begin) / 1000,
+        pose = poseAt(path, t);
       viewer.stance.posed = true;
       if (pose) viewer.stance.drift(pose);
       if (!path.loops && t >= lengthOf(path)) this.stop?.();
@@ -97,7 +113,8 @@ export class Paths {
 
   async #film() {
     if (this.filming) return this.filming.abort();
-    const { viewer, timeline, path } = this, [width, height] = this.size.split("x").map(Number);
+    const { viewer, timeline, path } = this,
+      [width, height] = this.size.split("x").map(Number);
     this.stop?.();
     this.filming = new AbortController();
     this.#fill();
@@ -119,12 +136,26 @@ export class Paths {
   #row(key, i) {
     const row = document.createElement("div");
     row.className = "viewpoint";
-    const name = Object.assign(document.createElement("input"), { value: key.name, maxLength: 60, ariaLabel: `Name of viewpoint ${i + 1}` });
+    const name = Object.assign(document.createElement("input"), {
+      value: key.name,
+      maxLength: 60,
+      ariaLabel: `Name of viewpoint ${i + 1}`,
+    });
     name.onchange = () => this.#edit(i, { name: name.value });
-    const time = Object.assign(document.createElement("input"), { type: "number", min: "0", max: "3600", step: "0.5", value: String(key.seconds), ariaLabel: `Time of viewpoint ${i + 1}, seconds` });
+    const time = Object.assign(document.createElement("input"), {
+      type: "number",
+      min: "0",
+      max: "3600",
+      step: "0.5",
+      value: String(key.seconds),
+      ariaLabel: `Time of viewpoint ${i + 1}, seconds`,
+    });
     time.onchange = () => this.#edit(i, { seconds: Math.max(0, Number(time.value)) });
     const pose = fromText(key.camera);
-    const go = Object.assign(menuItem(String(i + 1), "", null, () => pose && this.viewer.stance.moveTo(pose)), { title: "Go there" });
+    const go = Object.assign(
+      menuItem(String(i + 1), "", null, () => pose && this.viewer.stance.moveTo(pose)),
+      { title: "Go there" },
+    );
     go.setAttribute("aria-label", `Go to viewpoint ${i + 1}`);
     const away = menuItem("✕", "", null, () => this.#set({ keys: this.path.keys.filter((_, j) => j !== i) }));
     away.setAttribute("aria-label", `Remove viewpoint ${i + 1}`);
@@ -133,24 +164,43 @@ export class Paths {
   }
 
   #fill() {
-    const { path } = this, isPath = path.keys.length > 1;
-    const title = Object.assign(document.createElement("input"), { value: path.name, maxLength: 60, placeholder: "Name of the path", ariaLabel: "Name of the path" });
+    const { path } = this,
+      isPath = path.keys.length > 1;
+    const title = Object.assign(document.createElement("input"), {
+      value: path.name,
+      maxLength: 60,
+      placeholder: "Name of the path",
+      ariaLabel: "Name of the path",
+    });
     title.onchange = () => this.#change({ ...this.path, name: title.value }, true);
     const size = Object.assign(document.createElement("select"), { ariaLabel: "Size of the film" });
     size.append(...SIZES.map((text) => new Option(text.replace("x", " × "), text, false, text === this.size)));
     size.onchange = () => (this.size = size.value);
     this.panel.replaceChildren(
-      title, ...path.keys.map((key, i) => this.#row(key, i)),
+      title,
+      ...path.keys.map((key, i) => this.#row(key, i)),
       menuItem("Add this view", "", null, () => this.add()),
-      ...(isPath ? [
-        menuItem(this.stop ? "Stop" : "Play", "", null, () => this.toggle()),
-        menuItem("Loop", "", path.loops, () => this.#set({ loops: !this.path.loops })),
-        ...(this.viewer.thin || !("MediaRecorder" in window) ? [] : [
-          menuItem(this.filming ? "Stop filming" : "Save a film", "", null, () => this.#film()),
-          this.filming ? Object.assign(document.createElement("progress"), { max: 1, value: 0, ariaLabel: "Film" }) : size,
-        ]),
-      ] : []),
-      ...(path.keys.length ? [menuItem("Save the path", ".json", null, () => download(new Blob([toJson(this.path)], { type: "application/json" }), `${this.path.name || "path"}.json`))] : []),
+      ...(isPath
+        ? [
+            menuItem(this.stop ? "Stop" : "Play", "", null, () => this.toggle()),
+            menuItem("Loop", "", path.loops, () => this.#set({ loops: !this.path.loops })),
+            ...(this.viewer.thin || !("MediaRecorder" in window)
+              ? []
+              : [
+                  menuItem(this.filming ? "Stop filming" : "Save a film", "", null, () => this.#film()),
+                  this.filming
+                    ? Object.assign(document.createElement("progress"), { max: 1, value: 0, ariaLabel: "Film" })
+                    : size,
+                ]),
+          ]
+        : []),
+      ...(path.keys.length
+        ? [
+            menuItem("Save the path", ".json", null, () =>
+              download(new Blob([toJson(this.path)], { type: "application/json" }), `${this.path.name || "path"}.json`),
+            ),
+          ]
+        : []),
     );
   }
 }

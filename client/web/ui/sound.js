@@ -17,14 +17,19 @@ const PULL_MS = 500; // in which what it is off is made up for
 const MAX_PULL = 0.15; // by which it runs faster or slower, at its pitch
 const SMOOTH = 0.15; // share of a new picture in the clock: pictures come unevenly
 const SEEK_MS = 300; // the clock is this far off what a picture says: it was sought
-const LATE_MS = 400, LATE_PICTURES = 2; // that pictures stay away before sound waits for them
+const LATE_MS = 400,
+  LATE_PICTURES = 2; // that pictures stay away before sound waits for them
 const SPARSE_MS = 1000; // so far apart, pictures are reached before the next one is due: sound does not wait for that
 const MAX_TRIES = 2; // to load it, after the first
 const HEAD_BYTES = 4096; // both headers of the file
 const LINK_SECONDS = 24 * 3600;
 const NEAR_END = 0.05; // s, of what is held: an element that gets there stops
 
-/** What is known of sound before it is loaded: `beginMs` of its first sample, on the clock of the pictures, and the camera at which its microphone stands. @typedef {{ beginMs: number, camera?: string | null }} Told */
+/**
+ * What is known of sound before it is loaded: `beginMs` of its first sample, on the clock of the pictures, and the
+ * camera at which its microphone stands.
+ * @typedef {{ beginMs: number, camera?: string | null }} Told
+ */
 
 export class Sound {
   /**
@@ -55,9 +60,20 @@ export class Sound {
     this.beganAt = NaN; // by the clock of the worker, ms
     this.jumpedAt = -Infinity;
     this.tried = 0; // loading
-    this.opener = Object.assign(document.createElement("button"), { id: "t-sound", innerHTML: '<svg viewBox="0 0 24 24"><path/></svg>' });
+    this.opener = Object.assign(document.createElement("button"), {
+      id: "t-sound",
+      innerHTML: '<svg viewBox="0 0 24 24"><path/></svg>',
+    });
     this.opener.onclick = () => this.#turn(!this.isOn);
-    this.volume = Object.assign(document.createElement("input"), { id: "t-volume", type: "range", min: "0", max: "1", step: "any", value: "1", ariaLabel: "Volume" });
+    this.volume = Object.assign(document.createElement("input"), {
+      id: "t-volume",
+      type: "range",
+      min: "0",
+      max: "1",
+      step: "any",
+      value: "1",
+      ariaLabel: "Volume",
+    });
     this.volume.style.width = "64px";
     this.volume.oninput = () => (this.audio.volume = Number(this.volume.value));
     element("t-time").after(this.opener, this.volume);
@@ -71,9 +87,19 @@ export class Sound {
 
   /** What programs are told; `behindMs` is how far it is behind the picture. */
   get state() {
-    const { audio } = this, now = performance.now();
-    const beginMs = this.told?.beginMs ?? null, heard = 1000 * audio.currentTime - this.speed * this.#lateMs + (beginMs ?? 0);
-    return { on: this.isOn, beginMs, placed: this.placed !== null, playing: !audio.paused && !audio.seeking, volume: audio.volume, timeMs: heard, behindMs: this.#filmed(now) - heard };
+    const { audio } = this,
+      now = performance.now();
+    const beginMs = this.told?.beginMs ?? null,
+      heard = 1000 * audio.currentTime - this.speed * this.#lateMs + (beginMs ?? 0);
+    return {
+      on: this.isOn,
+      beginMs,
+      placed: this.placed !== null,
+      playing: !audio.paused && !audio.seeking,
+      volume: audio.volume,
+      timeMs: heard,
+      behindMs: this.#filmed(now) - heard,
+    };
   }
 
   /** Time that is shown now. @param {number} now */
@@ -83,7 +109,8 @@ export class Sound {
 
   /** @param {import("../view/messages.js").PictureMessage} picture */
   #note({ timeMs, overMs }) {
-    const now = performance.now(), filmed = timeMs ?? NaN;
+    const now = performance.now(),
+      filmed = timeMs ?? NaN;
     if (Number.isNaN(filmed) || filmed === this.shown.filmed) return; // the same from elsewhere
     const { speed } = this.timeline;
     this.shown = { filmed, at: now, gap: Math.max(0, filmed - this.shown.filmed) / speed || 0 };
@@ -102,7 +129,10 @@ export class Sound {
     return Math.max(this.shown.gap, (this.timeline.filmedAt(next) - this.timeline.filmedAt(position)) / speed);
   }
 
-  /** It plays on, perhaps the picture that was there: from when and where is known. @param {{ status: import("../stream/session.js").Status, now: number }} told */
+  /**
+   * It plays on, perhaps the picture that was there: from when and where is known.
+   * @param {{ status: import("../stream/session.js").Status, now: number }} told
+   */
   #begin({ status: { began }, now }) {
     if (!began || began.at === this.beganAt) return;
     this.beganAt = began.at;
@@ -116,8 +146,11 @@ export class Sound {
     const { audio, viewer, shown } = this;
     if (!this.isOn) return;
     const isLate = now - shown.at > LATE_MS + LATE_PICTURES * this.#gap;
-    const at = this.#filmed(now + this.#lateMs) - (this.told?.beginMs ?? NaN), off = 1000 * audio.currentTime - at;
-    const isOutside = this.live ? !isHeld(audio.buffered, at / 1000) : !(at >= 0) || at > 1000 * (audio.duration || Infinity);
+    const at = this.#filmed(now + this.#lateMs) - (this.told?.beginMs ?? NaN),
+      off = 1000 * audio.currentTime - at;
+    const isOutside = this.live
+      ? !isHeld(audio.buffered, at / 1000)
+      : !(at >= 0) || at > 1000 * (audio.duration || Infinity);
     if (isLate || isOutside || this.timeline.stands || !MOVING.includes(viewer.status?.phase ?? "")) {
       audio.pause();
       if (isLate) this.clock = NaN;
@@ -140,7 +173,8 @@ export class Sound {
 
   /** Let it come from where its microphone stands, once it is wanted and both are known. */
   #place() {
-    const { viewer } = this, at = microphoneAt(viewer.scene?.cameras ?? [], this.told?.camera);
+    const { viewer } = this,
+      at = microphoneAt(viewer.scene?.cameras ?? [], this.told?.camera);
     if (!this.isOn || !at) return;
     this.placed ??= new PlacedSound(viewer, this.audio, this.ends.signal);
     this.placed.stand(at);
@@ -171,7 +205,12 @@ export class Sound {
     this.#place(); // now, as browsers want a gesture
     const name = on ? "Mute" : "Sound";
     Object.assign(this.opener, { title: name, ariaLabel: name, ariaPressed: String(on) });
-    this.opener.querySelector("path")?.setAttribute("d", `M4 9.5v5h3.5L12 19V5L7.5 9.5z${on ? "M15 9a4 4 0 0 1 0 6M17.5 6.5a8 8 0 0 1 0 11" : "M15.5 9.5l5 5M20.5 9.5l-5 5"}`);
+    this.opener
+      .querySelector("path")
+      ?.setAttribute(
+        "d",
+        `M4 9.5v5h3.5L12 19V5L7.5 9.5z${on ? "M15 9a4 4 0 0 1 0 6M17.5 6.5a8 8 0 0 1 0 11" : "M15.5 9.5l5 5M20.5 9.5l-5 5"}`,
+      );
     this.volume.hidden = !on;
   }
 
@@ -195,7 +234,9 @@ function isHeld(ranges, at) {
 /** What a file says of itself, in comments in its first bytes. @param {string} address @returns {Promise<Told>} */
 async function toldBy(address) {
   const answer = await fetch(address, { headers: { Range: `bytes=0-${HEAD_BYTES - 1}` } });
-  const head = new TextDecoder("latin1").decode(answer.ok ? (await answer.arrayBuffer()).slice(0, HEAD_BYTES) : undefined);
+  const head = new TextDecoder("latin1").decode(
+    answer.ok ? (await answer.arrayBuffer()).slice(0, HEAD_BYTES) : undefined,
+  );
   return { beginMs: Number(/STREAMLOD_BEGIN_NS=(\d{1,19})/i.exec(head)?.[1] ?? 0) / 1e6, camera: cameraIn(head) };
 }
 
@@ -208,7 +249,11 @@ function cameraIn(head) {
   }
 }
 
-/** What to add to the address of a stream's sound: an audio element cannot send a token. @param {string} address @param {string} token */
+/**
+ * What to add to the address of a stream's sound: an audio element cannot send a token.
+ * @param {string} address
+ * @param {string} token
+ */
 async function sign(address, token) {
   const headers = { Authorization: `Bearer ${token}`, "Content-Type": "application/json" };
   const body = JSON.stringify({ path: "sound", seconds: LINK_SECONDS });

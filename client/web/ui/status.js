@@ -43,7 +43,15 @@ export class Delay {
   /** Now, s; null where it cannot be told. */
   get seconds() {
     const { filmedMs, status } = this;
-    if (filmedMs === null || !status || status.clockMs === null || status.source !== "cameras" || status.mode !== "live" || !DELAYED.includes(status.phase)) return null;
+    if (
+      filmedMs === null ||
+      !status ||
+      status.clockMs === null ||
+      status.source !== "cameras" ||
+      status.mode !== "live" ||
+      !DELAYED.includes(status.phase)
+    )
+      return null;
     return Math.max(0, Date.now() + status.clockMs - filmedMs) / 1000;
   }
 
@@ -52,21 +60,32 @@ export class Delay {
     this.filmedMs = filmedMs;
   }
 
-  /** In the chip. @param {import("../stream/session.js").Status | null} status @param {boolean} isLost - nothing is drawn */
+  /**
+   * In the chip.
+   * @param {import("../stream/session.js").Status | null} status
+   * @param {boolean} isLost - nothing is drawn
+   */
   show(status, isLost) {
     this.status = status;
-    const { seconds } = this, old = status && OLD.includes(status.phase) ? " old" : "";
+    const { seconds } = this,
+      old = status && OLD.includes(status.phase) ? " old" : "";
     element("status-latency").textContent = seconds === null || isLost ? "" : duration(seconds) + old;
   }
 }
 
 /** The picture in words. @param {import("../view/viewer.js").Viewer} viewer @param {string} time */
 export function describe({ scene, stance: { pose } }, time) {
-  const nearest = scene?.cameras.reduce((a, b) => (distanceTo(pose.position, b) < distanceTo(pose.position, a) ? b : a), scene.cameras[0]);
+  const nearest = scene?.cameras.reduce(
+    (a, b) => (distanceTo(pose.position, b) < distanceTo(pose.position, a) ? b : a),
+    scene.cameras[0],
+  );
   return `${element("status-text").textContent}, ${time}${nearest ? `, seen from near ${nearest.name}` : ""}`;
 }
 
-/** Hide the controls of a picture that plays when nobody has touched anything for a while. @param {() => boolean} plays */
+/**
+ * Hide the controls of a picture that plays when nobody has touched anything for a while.
+ * @param {() => boolean} plays
+ */
 export function hideWhenIdle(plays) {
   let timer = 0;
   const wake = () => {

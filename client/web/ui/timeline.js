@@ -11,14 +11,23 @@ import { Bar, Times } from "./times.js";
 
 const SPEEDS = [0.25, 0.5, 1, 2, 4];
 const SCRUB_MS = 90; // between two seeks while dragging
-const ARROW_SECONDS = 5, PAGE_SECONDS = 30; // by keys on the bar
+const ARROW_SECONDS = 5,
+  PAGE_SECONDS = 30; // by keys on the bar
 const BEFORE_BEGIN_SECONDS = -1e9;
 export const MOVING = ["live", "behind", "replay"]; // phases in which pictures go on by themselves
 const OVER = ["ended", "deleted"]; // phases of streams that will not go on
 
 /** @type {Record<string, number>} */
-const BAR_KEYS = { ArrowLeft: -ARROW_SECONDS, ArrowDown: -ARROW_SECONDS, ArrowRight: ARROW_SECONDS, ArrowUp: ARROW_SECONDS,
-  PageDown: -PAGE_SECONDS, PageUp: PAGE_SECONDS, Home: BEFORE_BEGIN_SECONDS, End: Infinity };
+const BAR_KEYS = {
+  ArrowLeft: -ARROW_SECONDS,
+  ArrowDown: -ARROW_SECONDS,
+  ArrowRight: ARROW_SECONDS,
+  ArrowUp: ARROW_SECONDS,
+  PageDown: -PAGE_SECONDS,
+  PageUp: PAGE_SECONDS,
+  Home: BEFORE_BEGIN_SECONDS,
+  End: Infinity,
+};
 
 export class Timeline {
   /** @param {(messages: object[]) => void} send @param {string | null} marks - frame numbers, from the address */
@@ -57,7 +66,8 @@ export class Timeline {
       else this.skip(by);
     };
     this.marks = new Marks(this);
-    for (const mark of marks?.split(",") ?? []) if (/^\d+$/.test(mark)) this.marks.toggle({ epoch: null, version: Number(mark) });
+    for (const mark of marks?.split(",") ?? [])
+      if (/^\d+$/.test(mark)) this.marks.toggle({ epoch: null, version: Number(mark) });
   }
 
   /** Something else is watched from now on. */
@@ -112,11 +122,23 @@ export class Timeline {
   #layOut() {
     const { window: range, status } = this;
     if (!range) return;
-    const { oldest, newest } = range, { epoch } = newest;
+    const { oldest, newest } = range,
+      { epoch } = newest;
     const before = this.spans.filter((span) => span.epoch >= oldest.epoch && span.epoch < epoch);
-    const inNewest = oldest.epoch === epoch ? oldest.version : Math.min(this.spans.find((span) => span.epoch === epoch)?.first ?? 0, newest.version);
-    const cut = before.map((span) => (span.epoch === oldest.epoch ? { ...span, first: Math.min(Math.max(span.first, oldest.version), span.last) } : span));
-    this.strip = new Bar([...cut, { epoch, first: inNewest, last: Math.max(newest.version, this.#shown(epoch)) }], this.times, status?.fps ?? null);
+    const inNewest =
+      oldest.epoch === epoch
+        ? oldest.version
+        : Math.min(this.spans.find((span) => span.epoch === epoch)?.first ?? 0, newest.version);
+    const cut = before.map((span) =>
+      span.epoch === oldest.epoch
+        ? { ...span, first: Math.min(Math.max(span.first, oldest.version), span.last) }
+        : span,
+    );
+    this.strip = new Bar(
+      [...cut, { epoch, first: inNewest, last: Math.max(newest.version, this.#shown(epoch)) }],
+      this.times,
+      status?.fps ?? null,
+    );
     this.#drawGaps();
   }
 
@@ -127,12 +149,16 @@ export class Timeline {
   }
 
   #drawGaps() {
-    const { parts, seconds } = this.strip, share = (/** @type {number} */ at) => `${((100 * at) / (seconds || 1)).toFixed(2)}%`;
+    const { parts, seconds } = this.strip,
+      share = (/** @type {number} */ at) => `${((100 * at) / (seconds || 1)).toFixed(2)}%`;
     const stripes = parts.slice(1).map((part, i) => {
       const end = parts[i].begin + parts[i].seconds;
       return `transparent ${share(end)}, var(--stage) ${share(end)} ${share(part.begin)}, transparent ${share(part.begin)}`;
     });
-    this.scrub.style.setProperty("--gaps", stripes.length ? `linear-gradient(to right, ${stripes.join(", ")})` : "none");
+    this.scrub.style.setProperty(
+      "--gaps",
+      stripes.length ? `linear-gradient(to right, ${stripes.join(", ")})` : "none",
+    );
   }
 
   get window() {
@@ -227,7 +253,8 @@ export class Timeline {
   /** @param {number} by - frames */
   step(by) {
     const { position, window } = this;
-    if (position && window && position.epoch < window.newest.epoch) this.showMoment(Math.max(0, position.version + by), position.epoch);
+    if (position && window && position.epoch < window.newest.epoch)
+      this.showMoment(Math.max(0, position.version + by), position.epoch);
     else this.showMoment(this.version + by, null);
   }
 
@@ -272,22 +299,29 @@ export class Timeline {
     setIcon("t-play", this.stands ? "play" : "pause");
     button("t-play").setAttribute("aria-label", this.stands ? "Play" : "Pause");
     button("t-play").title = this.stands ? "Play (Space)" : "Pause (Space)";
-    element("t-live-text").textContent = status.source !== "cameras" ? "NEWEST" : OVER.includes(status.phase) ? "END" : "LIVE";
+    element("t-live-text").textContent =
+      status.source !== "cameras" ? "NEWEST" : OVER.includes(status.phase) ? "END" : "LIVE";
     const { position, strip } = this;
     if (!this.dragging) this.#show(atEdge || !position ? strip.seconds : strip.placeOf(position));
   }
 
   /** @param {number} place - on the bar, seconds from its left */
   #show(place) {
-    const { strip, status } = this, length = strip.seconds;
+    const { strip, status } = this,
+      length = strip.seconds;
     Object.assign(this.scrub, { min: "0", max: String(length) });
     if (!this.dragging) this.scrub.value = String(place);
     this.scrub.style.setProperty("--done", `${(length > 0 ? (100 * place) / length : 100).toFixed(2)}%`);
     this.marks.place();
-    const behind = strip.behind(place, status?.source === "cameras"), live = status?.mode === "live" && !this.dragging;
-    const filmed = clock(strip.filmedBefore(place)), all = clock(strip.filmedBefore(length));
+    const behind = strip.behind(place, status?.source === "cameras"),
+      live = status?.mode === "live" && !this.dragging;
+    const filmed = clock(strip.filmedBefore(place)),
+      all = clock(strip.filmedBefore(length));
     const text = this.recording ? `${filmed} / ${all}` : live || behind <= 0 ? filmed : `−${clock(behind)}`;
     element("t-time").textContent = text;
-    this.scrub.setAttribute("aria-valuetext", this.recording || live ? text : `${clock(behind)} behind live, frame ${strip.positionAt(place)?.version ?? 0}`);
+    this.scrub.setAttribute(
+      "aria-valuetext",
+      this.recording || live ? text : `${clock(behind)} behind live, frame ${strip.positionAt(place)?.version ?? 0}`,
+    );
   }
 }

@@ -24,13 +24,22 @@ export class Times {
     const at = indexOf(list, version);
     if (list[at]?.version === version) list[at].ms = ms;
     else list.splice(at, 0, { version, ms });
-    if (list.length > MAX_KNOWN) this.known.set(epoch, list.filter((_, i) => i % 2 === 0 || i === list.length - 1));
+    if (list.length > MAX_KNOWN)
+      this.known.set(
+        epoch,
+        list.filter((_, i) => i % 2 === 0 || i === list.length - 1),
+      );
   }
 
-  /** When a position was filmed, ms. @param {Position} position @param {number | null} fps - the pace where nothing is known */
+  /**
+   * When a position was filmed, ms.
+   * @param {Position} position
+   * @param {number | null} fps - the pace where nothing is known
+   */
   at({ epoch, version }, fps) {
     const list = this.known.get(epoch) ?? [];
-    const at = indexOf(list, version), next = list[at];
+    const at = indexOf(list, version),
+      next = list[at];
     if (next?.version === version) return next.ms;
     const [a, b] = next && at > 0 ? [list[at - 1], next] : [list[0], list[list.length - 1]];
     const pace = a && b.version > a.version ? (b.ms - a.ms) / (b.version - a.version) : 1000 / (fps || 30);
@@ -38,9 +47,15 @@ export class Times {
     return from.ms + (version - from.version) * pace;
   }
 
-  /** The version of `span` that was filmed last at `ms`. @param {Span} span @param {number} ms @param {number | null} fps */
+  /**
+   * The version of `span` that was filmed last at `ms`.
+   * @param {Span} span
+   * @param {number} ms
+   * @param {number | null} fps
+   */
   versionAt({ epoch, first, last }, ms, fps) {
-    let low = first, high = last;
+    let low = first,
+      high = last;
     while (low < high) {
       const middle = Math.ceil((low + high) / 2);
       if (this.at({ epoch, version: middle }, fps) <= ms + 0.5) low = middle;
@@ -50,9 +65,13 @@ export class Times {
   }
 }
 
-/** Index of the first entry that is not before `version`. @type {(list: { version: number }[], version: number) => number} */
+/**
+ * Index of the first entry that is not before `version`.
+ * @type {(list: { version: number }[], version: number) => number}
+ */
 function indexOf(list, version) {
-  let low = 0, high = list.length;
+  let low = 0,
+    high = list.length;
   while (low < high) {
     const middle = (low + high) >> 1;
     if (list[middle].version < version) low = middle + 1;
@@ -88,8 +107,11 @@ export class Bar {
     const part = this.parts.find(({ epoch }) => epoch === position.epoch);
     if (!part) return position.epoch < (this.parts[0]?.epoch ?? 0) ? 0 : this.seconds;
     const version = Math.min(Math.max(position.version, part.first), part.last);
-    const { times, fps } = this, begin = times.at({ epoch: part.epoch, version: part.first }, fps);
-    return part.begin + Math.min(Math.max((times.at({ epoch: part.epoch, version }, fps) - begin) / 1000, 0), part.seconds);
+    const { times, fps } = this,
+      begin = times.at({ epoch: part.epoch, version: part.first }, fps);
+    return (
+      part.begin + Math.min(Math.max((times.at({ epoch: part.epoch, version }, fps) - begin) / 1000, 0), part.seconds)
+    );
   }
 
   /** What was filmed before a place, s: without the gaps. @param {number} place */
@@ -107,7 +129,11 @@ export class Bar {
     return this.seconds;
   }
 
-  /** What was filmed so much later, or the next frame where that is farther. @param {Position} position @param {number} seconds - below 0: earlier */
+  /**
+   * What was filmed so much later, or the next frame where that is farther.
+   * @param {Position} position
+   * @param {number} seconds - below 0: earlier
+   */
   after(position, seconds) {
     const to = this.positionAt(this.placeAfter(this.filmedBefore(this.placeOf(position)) + seconds));
     if (to?.epoch !== position.epoch || to.version !== position.version) return to;
@@ -120,7 +146,8 @@ export class Bar {
    * @param {boolean} isOneClock - or epochs begin their times again: then without what lies between them
    */
   behind(place, isOneClock) {
-    const position = this.positionAt(place), newest = this.parts[this.parts.length - 1];
+    const position = this.positionAt(place),
+      newest = this.parts[this.parts.length - 1];
     if (!position || !isOneClock) return this.filmedBefore(this.seconds) - this.filmedBefore(place);
     const end = this.times.at({ epoch: newest.epoch, version: newest.last }, this.fps);
     return Math.max(0, end - this.times.at(position, this.fps)) / 1000;

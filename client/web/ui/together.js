@@ -25,7 +25,10 @@ export class Together {
     this.session = "";
     this.timer = 0;
     button("b-together").onclick = () => this.toggle();
-    viewer.stance.addEventListener("steered", () => this.role === "following" && this.#leave("You look around by yourself again"));
+    viewer.stance.addEventListener(
+      "steered",
+      () => this.role === "following" && this.#leave("You look around by yourself again"),
+    );
     viewer.addEventListener("status", () => this.#heard(viewer.status?.together ?? null));
   }
 
@@ -68,10 +71,15 @@ export class Together {
 
   #present() {
     if (!this.known?.mayPresent) return; // an edge that has lost its origin
-    const { stance, status } = this.viewer, { position, rotation, distance, focal, stretch, shift } = stance.pose, place = status?.position;
+    const { stance, status } = this.viewer,
+      { position, rotation, distance, focal, stretch, shift } = stance.pose,
+      place = status?.position;
     const at = status?.mode === "live" || !place ? { mode: "live" } : { mode: status.mode, ...place };
     // Who follows replays by itself, and needs to know now and then where.
-    const moment = at.mode === "replay" && place ? [place.epoch, Math.floor(place.version / (APART_SECONDS * (status?.fps || 30)))] : at;
+    const moment =
+      at.mode === "replay" && place
+        ? [place.epoch, Math.floor(place.version / (APART_SECONDS * (status?.fps || 30)))]
+        : at;
     const text = JSON.stringify([position, rotation, distance, focal, stretch, shift, moment]);
     if (text === this.sent) return;
     this.sent = text;
@@ -82,11 +90,13 @@ export class Together {
   #heard(known) {
     const before = this.known;
     this.known = known;
-    if (known && known.session !== this.session) { // another connection: say again what is wanted
+    if (known && known.session !== this.session) {
+      // another connection: say again what is wanted
       this.session = known.session;
       if (this.role === "following") this.#send({ type: "follow", on: true });
       this.sent = "";
-    } else if (known && this.role === "presenting" && known.by !== null && known.by !== known.session) this.#leave("Somebody else presents already");
+    } else if (known && this.role === "presenting" && known.by !== null && known.by !== known.session)
+      this.#leave("Somebody else presents already");
     else if (known && this.role === "following" && before?.by && !known.by) this.#leave("The presenter has left");
     if (known && this.role === "presenting" && known.by === null) this.sent = ""; // the server has forgotten
     if (known && this.role === "following" && known.view) this.#follow(known);
@@ -95,29 +105,44 @@ export class Together {
 
   /** Look and be where the presenter does. @param {Known} known */
   #follow({ view, at }) {
-    const { viewer } = this, { status, stance } = viewer, text = JSON.stringify([view, at]);
+    const { viewer } = this,
+      { status, stance } = viewer,
+      text = JSON.stringify([view, at]);
     if (!view || !at || text === this.led) return;
     this.led = text;
     if (isRotation(view.rotation)) stance.moveTo({ ...stance.pose, ...view });
-    const here = status?.position, there = "epoch" in at ? { epoch: at.epoch, version: at.version } : null;
+    const here = status?.position,
+      there = "epoch" in at ? { epoch: at.epoch, version: at.version } : null;
     if (!there) {
       if (status?.mode !== "live") this.#send({ type: "seek", to: "live" });
       return;
     }
     const apart = here?.epoch === there.epoch ? Math.abs(here.version - there.version) / (status?.fps || 30) : Infinity;
-    if (at.mode === "paused" ? apart > 0 || status?.mode !== "paused" : status?.mode !== "replay" || apart > APART_SECONDS) {
+    if (
+      at.mode === "paused" ? apart > 0 || status?.mode !== "paused" : status?.mode !== "replay" || apart > APART_SECONDS
+    ) {
       this.#send({ type: "seek", to: there, stop: at.mode === "paused" });
     }
   }
 
   #show() {
-    const { role, known } = this, control = button("b-together"), chip = element("status-together");
-    const title = { presenting: "Stop presenting", following: "Follow no more", apart: known?.by ? "Follow the presenter" : "Present my view" }[role];
+    const { role, known } = this,
+      control = button("b-together"),
+      chip = element("status-together");
+    const title = {
+      presenting: "Stop presenting",
+      following: "Follow no more",
+      apart: known?.by ? "Follow the presenter" : "Present my view",
+    }[role];
     control.hidden = !this.#offered;
     control.title = `${title} (G)`;
     control.setAttribute("aria-label", title);
     control.setAttribute("aria-pressed", String(role !== "apart"));
-    const text = { presenting: "You present", following: "Following, drag to leave", apart: known?.by ? "Somebody presents" : "" }[role];
+    const text = {
+      presenting: "You present",
+      following: "Following, drag to leave",
+      apart: known?.by ? "Somebody presents" : "",
+    }[role];
     if (chip.textContent !== text) chip.textContent = text;
   }
 }

@@ -24,8 +24,10 @@ export { add, centre, cross, dot, row, unit } from "../lib/vectors.js";
 
 /** @type {(v: Vec3, axis: Vec3, angle: number) => Vec3} Rodrigues' rotation */
 function turn(v, axis, angle) {
-  const c = Math.cos(angle), s = Math.sin(angle);
-  const across = cross(axis, v), along = dot(axis, v) * (1 - c);
+  const c = Math.cos(angle),
+    s = Math.sin(angle);
+  const across = cross(axis, v),
+    along = dot(axis, v) * (1 - c);
   return [
     v[0] * c + across[0] * s + axis[0] * along,
     v[1] * c + across[1] * s + axis[1] * along,
@@ -44,11 +46,15 @@ const turnRows = (rotation, axis, angle) => [0, 1, 2].flatMap((i) => turn(row(ro
 
 const STEEPEST = 0.999; // cosine between the view and `up` at which pitching stops
 
-/** Turn the view, standing still: to the right about `up`, and upwards; radians. @type {(pose: Pose, up: Vec3, yaw: number, pitch: number) => Pose} */
+/**
+ * Turn the view, standing still: to the right about `up`, and upwards; radians.
+ * @type {(pose: Pose, up: Vec3, yaw: number, pitch: number) => Pose}
+ */
 export function look(pose, up, yaw, pitch) {
   let rotation = turnRows(pose.rotation, up, -yaw);
   const pitched = turnRows(rotation, row(rotation, 0), pitch);
-  const steep = dot(row(pitched, 2), up), before = dot(row(rotation, 2), up);
+  const steep = dot(row(pitched, 2), up),
+    before = dot(row(rotation, 2), up);
   if (Math.abs(steep) < STEEPEST || Math.abs(steep) < Math.abs(before)) rotation = pitched;
   return { ...pose, rotation: orthonormal(rotation) };
 }
@@ -59,7 +65,10 @@ export function orbit(pose, up, yaw, pitch) {
   return { ...turned, position: add(target(pose), row(turned.rotation, 2), -pose.distance) };
 }
 
-/** Shift camera and target to the right and down, by fractions of the picture's height at the target. @type {(pose: Pose, dx: number, dy: number) => Pose} */
+/**
+ * Shift camera and target to the right and down, by fractions of the picture's height at the target.
+ * @type {(pose: Pose, dx: number, dy: number) => Pose}
+ */
 export function pan(pose, dx, dy) {
   const scale = pose.distance / pose.focal;
   const moved = add(add(pose.position, row(pose.rotation, 0), dx * scale), row(pose.rotation, 1), dy * scale);
@@ -93,9 +102,18 @@ export function focusOn(pose, point, up) {
 
 /** @type {(camera: RigCamera, distance: number) => Pose} */
 export function fromCamera(camera, distance) {
-  const m = camera.worldToCamera, k = camera.intrinsics, h = camera.height;
+  const m = camera.worldToCamera,
+    k = camera.intrinsics,
+    h = camera.height;
   const rotation = [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]];
-  return { rotation, position: centre(rotation, [m[3], m[7], m[11]]), distance, focal: k[4] / h, stretch: k[0] / k[4], shift: [(k[2] - camera.width / 2) / h, (k[5] - h / 2) / h] };
+  return {
+    rotation,
+    position: centre(rotation, [m[3], m[7], m[11]]),
+    distance,
+    focal: k[4] / h,
+    stretch: k[0] / k[4],
+    shift: [(k[2] - camera.width / 2) / h, (k[5] - h / 2) / h],
+  };
 }
 
 /** The camera nearest to the middle of the rig, where a visit begins. @type {(cameras: RigCamera[]) => number} */

@@ -5,13 +5,18 @@ import { spread } from "./limits.js";
 
 /** @typedef {import("./camera.js").Vec3} Vec3 */
 
-const MAX_TURN = 3.2, MIN_TURN = 0.8; // radians for a drag across the picture's height
+const MAX_TURN = 3.2,
+  MIN_TURN = 0.8; // radians for a drag across the picture's height
 const INSIDE = 0.15; // as far outside of what the rig has seen a drag may end
 const NEAREST = 0.08; // of the distance at home: closer one would be inside of things
-const WHEEL = 0.0012, DOUBLE_TAP_MS = 320, TAP_PX = 8;
+const WHEEL = 0.0012,
+  DOUBLE_TAP_MS = 320,
+  TAP_PX = 8;
 const WALK = 0.6; // of the distance to the target, a second
 const GLIDE = 6; // per second, how fast inertia fades
-const SWAY = 0.14, SWAY_PERIOD_S = 24, SWAY_AFTER_S = 8; // radians to each side; of one swing; idle before
+const SWAY = 0.14,
+  SWAY_PERIOD_S = 24,
+  SWAY_AFTER_S = 8; // radians to each side; of one swing; idle before
 
 /** Flying keys by physical place, so that they work on every layout. @type {Record<string, Vec3>} */
 const FLY = { KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0, 0], KeyQ: [0, 1, 0], KeyE: [0, -1, 0] };
@@ -40,7 +45,8 @@ export class Controls {
     // In a frame of another page the wheel scrolls that page until somebody clicks the picture.
     this.engaged = window.parent === window;
     this.abort = new AbortController();
-    const { canvas } = viewer, { signal } = this.abort;
+    const { canvas } = viewer,
+      { signal } = this.abort;
     /** @type {(name: string, handler: (event: any) => void, target?: EventTarget) => void} */
     const on = (name, handler, target = canvas) => target.addEventListener(name, handler, { signal, passive: false });
     on("pointerdown", (event) => this.#down(event));
@@ -51,10 +57,14 @@ export class Controls {
     on("dblclick", (event) => this.focus(event.clientX, event.clientY));
     on("keydown", (event) => this.#key(event, true), window);
     on("keyup", (event) => this.#key(event, false), window);
-    on("blur", () => {
-      this.keys.clear();
-      this.#engage(window.parent === window);
-    }, window);
+    on(
+      "blur",
+      () => {
+        this.keys.clear();
+        this.#engage(window.parent === window);
+      },
+      window,
+    );
     on("frame", (event) => this.#frame(event.detail.now), viewer);
   }
 
@@ -76,7 +86,8 @@ export class Controls {
 
   /** Closer or farther, as far as things allow. @param {number} factor */
   #zoom(factor) {
-    const { pose, home } = this.viewer.stance, nearest = Math.min(NEAREST * (home?.distance ?? 0), pose.distance);
+    const { pose, home } = this.viewer.stance,
+      nearest = Math.min(NEAREST * (home?.distance ?? 0), pose.distance);
     return zoom(pose, Math.max(factor, nearest / pose.distance));
   }
 
@@ -100,9 +111,12 @@ export class Controls {
     const before = this.pointers.get(event.pointerId);
     if (!before) return;
     const now = { x: event.clientX, y: event.clientY };
-    const h = this.#height, dx = (now.x - before.x) / h, dy = (now.y - before.y) / h;
+    const h = this.#height,
+      dx = (now.x - before.x) / h,
+      dy = (now.y - before.y) / h;
     this.travel += Math.hypot(now.x - before.x, now.y - before.y);
-    const { stance } = this.viewer, turn = this.#turn;
+    const { stance } = this.viewer,
+      turn = this.#turn;
     if (this.pointers.size >= 2) {
       const others = [...this.pointers].filter(([id]) => id !== event.pointerId).map(([, point]) => point);
       const was = Math.hypot(before.x - others[0].x, before.y - others[0].y);
@@ -132,7 +146,8 @@ export class Controls {
     if (this.panning || this.pointers.size || event.timeStamp - this.last > 60) this.spin = { yaw: 0, pitch: 0 };
     if (event.pointerType !== "touch" || event.type !== "pointerup" || this.travel > TAP_PX) return;
     const again = event.timeStamp - this.tap.time < DOUBLE_TAP_MS;
-    if (again && Math.hypot(event.clientX - this.tap.x, event.clientY - this.tap.y) < 4 * TAP_PX) this.focus(event.clientX, event.clientY);
+    if (again && Math.hypot(event.clientX - this.tap.x, event.clientY - this.tap.y) < 4 * TAP_PX)
+      this.focus(event.clientX, event.clientY);
     this.tap = { time: again ? 0 : event.timeStamp, x: event.clientX, y: event.clientY };
   }
 
@@ -140,15 +155,24 @@ export class Controls {
   #wheel(event) {
     if (!this.engaged) return;
     event.preventDefault();
-    const { stance } = this.viewer, h = this.#height;
+    const { stance } = this.viewer,
+      h = this.#height;
     const unitOf = event.deltaMode === 1 ? 16 : event.deltaMode === 2 ? h : 1;
     if (event.shiftKey) stance.steer(pan(stance.pose, (event.deltaX * unitOf) / h, (event.deltaY * unitOf) / h));
-    else stance.steer(this.#zoom(Math.exp(Math.min(Math.max(event.deltaY * unitOf * (event.ctrlKey ? 8 : 1), -400), 400) * WHEEL)));
+    else
+      stance.steer(
+        this.#zoom(Math.exp(Math.min(Math.max(event.deltaY * unitOf * (event.ctrlKey ? 8 : 1), -400), 400) * WHEEL)),
+      );
   }
 
-  /** Turn to the surface under a point of the page and orbit around it. @param {number} clientX @param {number} clientY */
+  /**
+   * Turn to the surface under a point of the page and orbit around it.
+   * @param {number} clientX
+   * @param {number} clientY
+   */
   async focus(clientX, clientY) {
-    const { viewer } = this, { canvas, stance } = viewer;
+    const { viewer } = this,
+      { canvas, stance } = viewer;
     const box = canvas.getBoundingClientRect();
     const { focal, principal, rotation: r } = viewer.view();
     const u = (((clientX - box.left) / box.width) * canvas.width - principal[0]) / focal[0];
@@ -159,7 +183,11 @@ export class Controls {
     stance.posed = true;
     const turned = focusOn(stance.pose, point, stance.up);
     const distance = turned.distance * 0.75;
-    stance.moveTo({ ...turned, distance, position: add(point, /** @type {Vec3} */ (turned.rotation.slice(6, 9)), -distance) });
+    stance.moveTo({
+      ...turned,
+      distance,
+      position: add(point, /** @type {Vec3} */ (turned.rotation.slice(6, 9)), -distance),
+    });
   }
 
   /** @param {KeyboardEvent} event @param {boolean} down */
@@ -170,10 +198,20 @@ export class Controls {
       return;
     }
     const target = /** @type {HTMLElement} */ (event.target);
-    if (event.ctrlKey || event.metaKey || event.altKey || target.closest?.("dialog, .menu") || (event.code in ARROWS && target.closest?.("input"))) return;
-    const known = event.code in FLY || event.code in ARROWS || event.key === "+" || event.key === "-" || event.key === "=";
+    if (
+      event.ctrlKey ||
+      event.metaKey ||
+      event.altKey ||
+      target.closest?.("dialog, .menu") ||
+      (event.code in ARROWS && target.closest?.("input"))
+    )
+      return;
+    const known =
+      event.code in FLY || event.code in ARROWS || event.key === "+" || event.key === "-" || event.key === "=";
     if (!known) return;
-    this.keys.add(known && (event.key === "+" || event.key === "=") ? "Plus" : event.key === "-" ? "Minus" : event.code);
+    this.keys.add(
+      known && (event.key === "+" || event.key === "=") ? "Plus" : event.key === "-" ? "Minus" : event.code,
+    );
     if (event.key === "+" || event.key === "=" || event.key === "-") {
       this.viewer.stance.steer(this.#zoom(event.key === "-" ? 1.12 : 1 / 1.12));
       this.keys.clear();
@@ -183,12 +221,22 @@ export class Controls {
 
   /** A slow swing around the target while nobody touches anything. @param {number} now @param {number} seconds */
   #sway(now, seconds) {
-    const { presenting, stance } = this.viewer, isIdle = document.body.classList.contains("idle");
-    if (!isIdle || !this.mayDrift() || this.still.matches || presenting || stance.glide || document.body.classList.contains("still")) this.idleSince = 0;
+    const { presenting, stance } = this.viewer,
+      isIdle = document.body.classList.contains("idle");
+    if (
+      !isIdle ||
+      !this.mayDrift() ||
+      this.still.matches ||
+      presenting ||
+      stance.glide ||
+      document.body.classList.contains("still")
+    )
+      this.idleSince = 0;
     else this.idleSince ||= now;
     const idle = this.idleSince ? (now - this.idleSince) / 1000 - SWAY_AFTER_S : 0;
     if (idle <= 0) return;
-    const rate = SWAY * Math.cos((2 * Math.PI * idle) / SWAY_PERIOD_S) * ((2 * Math.PI) / SWAY_PERIOD_S) * Math.min(1, idle / 4);
+    const rate =
+      SWAY * Math.cos((2 * Math.PI * idle) / SWAY_PERIOD_S) * ((2 * Math.PI) / SWAY_PERIOD_S) * Math.min(1, idle / 4);
     stance.drift(orbit(stance.pose, stance.up, rate * seconds, 0));
   }
 
@@ -200,7 +248,8 @@ export class Controls {
     this.before = now;
     /** @type {Vec3} */
     let walk = [0, 0, 0];
-    let yaw = 0, pitch = 0;
+    let yaw = 0,
+      pitch = 0;
     for (const code of this.keys) {
       if (FLY[code]) walk = add(walk, FLY[code]);
       const arrow = ARROWS[code];
@@ -211,7 +260,8 @@ export class Controls {
     if (pad) {
       const axes = [0, 1, 2, 3].map((i) => (Math.abs(pad.axes[i] ?? 0) > 0.15 ? pad.axes[i] : 0));
       walk = add(walk, [axes[0], (pad.buttons[6]?.value ?? 0) - (pad.buttons[7]?.value ?? 0), -axes[1]]);
-      if (axes[2] || axes[3]) stance.steer(look(stance.pose, stance.up, axes[2] * 1.8 * seconds, -axes[3] * 1.8 * seconds));
+      if (axes[2] || axes[3])
+        stance.steer(look(stance.pose, stance.up, axes[2] * 1.8 * seconds, -axes[3] * 1.8 * seconds));
     }
     if (walk.some((x) => x !== 0)) {
       const pace = WALK * stance.pose.distance * seconds * (this.shift ? 2.5 : 1);

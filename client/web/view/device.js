@@ -15,13 +15,21 @@ const SLOW = 0.9; // of the rate that is wanted, below which it is worth a word
 /** As rooms sound: what calls need would change it. @type {MediaTrackConstraints} */
 const SOUND = { channelCount: { ideal: 1 }, echoCancellation: false, noiseSuppression: false, autoGainControl: false };
 
-/** @param {string} deviceId - empty for the rear one @param {{ width: number, height: number }} size @param {number} fps @param {boolean} sound - of its microphone, too */
+/**
+ * @param {string} deviceId - empty for the rear one
+ * @param {{ width: number, height: number }} size
+ * @param {number} fps
+ * @param {boolean} sound - of its microphone, too
+ */
 export function openCamera(deviceId, { width, height }, fps, sound) {
-  const long = Math.max(width, height), short = Math.min(width, height); // phones count along the sensor, however they are held
+  const long = Math.max(width, height),
+    short = Math.min(width, height); // phones count along the sensor, however they are held
   return navigator.mediaDevices.getUserMedia({
     audio: sound && SOUND,
     video: {
-      width: { ideal: long }, height: { ideal: short }, frameRate: { ideal: fps },
+      width: { ideal: long },
+      height: { ideal: short },
+      frameRate: { ideal: fps },
       .../** @type {MediaTrackConstraints} */ ({ resizeMode: "none" }), // as the sensor gives them: no upright picture is cropped to one across
       ...(deviceId ? { deviceId: { exact: deviceId } } : { facingMode: { ideal: "environment" } }),
     },
@@ -38,15 +46,23 @@ export async function devices() {
     .map(({ deviceId, label }, row) => ({ id: deviceId, label: label || `camera ${row + 1}` }));
 }
 
-/** Hold all that can be held as it is now, or let it go again. @param {MediaStreamTrack} track @param {boolean} hold @returns {Promise<Held>} */
+/**
+ * Hold all that can be held as it is now, or let it go again.
+ * @param {MediaStreamTrack} track
+ * @param {boolean} hold
+ * @returns {Promise<Held>}
+ */
 export async function holdStill(track, hold) {
-  const can = /** @type {any} */ (track.getCapabilities?.() ?? {}), now = /** @type {any} */ (track.getSettings());
+  const can = /** @type {any} */ (track.getCapabilities?.() ?? {}),
+    now = /** @type {any} */ (track.getSettings());
   /** @type {Held} */
   const found = { held: [], free: [] };
   for (const { name, mode, values } of HOLDABLE) {
     const wanted = hold ? "manual" : "continuous";
     if (can[mode]?.includes(wanted)) {
-      const kept = hold ? values.filter((value) => value in can && value in now).map((value) => [value, now[value]]) : [];
+      const kept = hold
+        ? values.filter((value) => value in can && value in now).map((value) => [value, now[value]])
+        : [];
       const constraint = /** @type {any} */ ({ advanced: [{ [mode]: wanted, ...Object.fromEntries(kept) }] });
       await track.applyConstraints(constraint).catch(() => {}); // what came of it is seen below
     }
@@ -61,7 +77,8 @@ export async function holdStill(track, hold) {
  * @param {HTMLVideoElement} video @param {(takenMs: number) => void} act
  */
 export function eachPicture(video, act) {
-  let over = false, handle = 0;
+  let over = false,
+    handle = 0;
   /** @type {VideoFrameRequestCallback} */
   const next = (now, { captureTime, presentationTime }) => {
     if (over) return;
@@ -81,11 +98,17 @@ export function eachPicture(video, act) {
  * @param {{ width: number, height: number }} from @param {{ width: number, height: number }} to
  */
 export function part(from, to) {
-  if (!from.width || (from.width < from.height) !== (to.width < to.height)) return null;
+  if (!from.width || from.width < from.height !== to.width < to.height) return null;
   const scale = Math.min(from.width / to.width, from.height / to.height);
-  const width = to.width * scale, height = to.height * scale;
+  const width = to.width * scale,
+    height = to.height * scale;
   return { x: (from.width - width) / 2, y: (from.height - height) / 2, width, height };
 }
 
-/** Whether a camera that gave `rate` pictures a second, counted for about one, gives fewer than are wanted. A count may miss one by when it began. @param {number} rate @param {number} wanted */
+/**
+ * Whether a camera that gave `rate` pictures a second, counted for about one, gives fewer than are wanted. A count may
+ * miss one by when it began.
+ * @param {number} rate
+ * @param {number} wanted
+ */
 export const isSlow = (rate, wanted) => rate > 0 && rate + 1 < SLOW * wanted;

@@ -9,13 +9,24 @@ const KEY_EVERY = 60; // pictures
 const MAX_WAITING = 2; // pictures in an encoder; a further one would only be late
 const JPEG_QUALITY = 0.85;
 
-/** @param {Size} size @param {number} fps @param {boolean} jpeg - rather than H.264 @param {Output} output @returns {Promise<H264 | Jpeg>} */
+/**
+ * @param {Size} size
+ * @param {number} fps
+ * @param {boolean} jpeg - rather than H.264
+ * @param {Output} output
+ * @returns {Promise<H264 | Jpeg>}
+ */
 export async function createEncoder(size, fps, jpeg, output) {
   const even = size.width % 2 === 0 && size.height % 2 === 0;
   for (const codec of jpeg || !even || !("VideoEncoder" in window) ? [] : LEVELS) {
     /** @type {VideoEncoderConfig} */
     const config = {
-      codec, ...size, framerate: fps, bitrate: Math.round(BITS * size.width * size.height * fps), latencyMode: "realtime", avc: { format: "annexb" },
+      codec,
+      ...size,
+      framerate: fps,
+      bitrate: Math.round(BITS * size.width * size.height * fps),
+      latencyMode: "realtime",
+      avc: { format: "annexb" },
     };
     const { supported } = await VideoEncoder.isConfigSupported(config).catch(() => ({ supported: false }));
     if (supported) return new H264(config, output);
@@ -75,10 +86,14 @@ class Jpeg {
   /** @param {HTMLCanvasElement} canvas @param {number} takenMs */
   encode(canvas, takenMs) {
     this.hasRoom = false;
-    canvas.toBlob(async (blob) => {
-      if (blob) this.output(takenMs, "jpeg", new Uint8Array(await blob.arrayBuffer()));
-      this.hasRoom = true;
-    }, "image/jpeg", JPEG_QUALITY);
+    canvas.toBlob(
+      async (blob) => {
+        if (blob) this.output(takenMs, "jpeg", new Uint8Array(await blob.arrayBuffer()));
+        this.hasRoom = true;
+      },
+      "image/jpeg",
+      JPEG_QUALITY,
+    );
   }
 
   close() {

@@ -46,7 +46,8 @@ export class Engine extends Gaussians {
 
   /** Decode one packet. @param {Uint8Array} bytes @returns {import("../decode/decoder.js").Effect} */
   push(bytes) {
-    const { expander } = this, effect = super.push(bytes);
+    const { expander } = this,
+      effect = super.push(bytes);
     if (this.expander !== expander) this.capacity = 0;
     return effect;
   }
@@ -65,9 +66,16 @@ export class Engine extends Gaussians {
     const sorted = performance.now();
     const order = view.unsorted ? this.#changed() : this.#order(view);
     return {
-      generation: this.generation, rows: this.capacity, spans, order, splats: order?.length ?? this.activeCount, anchors: anchorCount(scene), version: versionOf(scene),
+      generation: this.generation,
+      rows: this.capacity,
+      spans,
+      order,
+      splats: order?.length ?? this.activeCount,
+      anchors: anchorCount(scene),
+      version: versionOf(scene),
       missing: Math.clz32(this.visible) - Math.clz32((1 << scene.levels.length) - 1),
-      expandMs: sorted - start, sortMs: performance.now() - sorted,
+      expandMs: sorted - start,
+      sortMs: performance.now() - sorted,
     };
   }
 
@@ -82,10 +90,13 @@ export class Engine extends Gaussians {
       return [{ first: 0, data: expander.splats.slice() }];
     }
     const spans = [];
-    for (let i = 0; i < dirty.length; ) {
+    for (let i = 0; i < dirty.length;) {
       let j = i + 1;
       while (j < dirty.length && dirty[j] - dirty[j - 1] <= JOIN) j++;
-      spans.push({ first: dirty[i], data: expander.splats.slice(dirty[i] * ROW_NUMBERS, (dirty[j - 1] + 1) * ROW_NUMBERS) });
+      spans.push({
+        first: dirty[i],
+        data: expander.splats.slice(dirty[i] * ROW_NUMBERS, (dirty[j - 1] + 1) * ROW_NUMBERS),
+      });
       i = j;
     }
     return spans;
@@ -111,7 +122,9 @@ export class Engine extends Gaussians {
   /** @param {EngineView} view */
   #order({ rotation, position }) {
     const numbers = /** @type {import("../decode/expand.js").Expander} */ (this.expander).numbers;
-    return this.sorter.order(numbers, RECORD, this.active, this.activeCount, rotation.slice(6), position, this.#near(position)).slice();
+    return this.sorter
+      .order(numbers, RECORD, this.active, this.activeCount, rotation.slice(6), position, this.#near(position))
+      .slice();
   }
 
   /**
@@ -128,10 +141,15 @@ export class Engine extends Gaussians {
     for (let i = 0; i < this.activeCount; i++) {
       const o = this.active[i] * RECORD;
       if (numbers[o + 3] < 0.2) continue;
-      const x = numbers[o] - origin[0], y = numbers[o + 1] - origin[1], z = numbers[o + 2] - origin[2];
-      const depth = a * x + b * y + c * z, away = x * x + y * y + z * z;
+      const x = numbers[o] - origin[0],
+        y = numbers[o + 1] - origin[1],
+        z = numbers[o + 2] - origin[2];
+      const depth = a * x + b * y + c * z,
+        away = x * x + y * y + z * z;
       if (depth <= 0.02 || depth >= best || away < near * near) continue;
-      const xx = numbers[o + 4], yy = numbers[o + 7], zz = numbers[o + 9];
+      const xx = numbers[o + 4],
+        yy = numbers[o + 7],
+        zz = numbers[o + 9];
       if (away - depth * depth >= Math.max(2 * xx, 2 * yy, 2 * zz, (0.004 * depth) ** 2)) continue;
       const mixed = a * b * numbers[o + 5] + a * c * numbers[o + 6] + b * c * numbers[o + 8];
       if (4 * (a * a * xx + b * b * yy + c * c * zz + 2 * mixed) <= depth * depth) best = depth; // else left out
@@ -139,13 +157,18 @@ export class Engine extends Gaussians {
     return best < Infinity ? [origin[0] + best * a, origin[1] + best * b, origin[2] + best * c] : null;
   }
 
-  /** Median depth of the anchors near a camera's axis: what it looks at. @type {(origin: Vec3, forward: Vec3) => number} */
+  /**
+   * Median depth of the anchors near a camera's axis: what it looks at.
+   * @type {(origin: Vec3, forward: Vec3) => number}
+   */
   depthAlong(origin, forward) {
     const depths = [];
     const { scene, expander } = this;
     for (const [l, { anchor }] of (expander?.levels ?? []).entries()) {
       for (let i = 0; i < (scene?.levels[l].count ?? 0); i++) {
-        const x = anchor[3 * i] - origin[0], y = anchor[3 * i + 1] - origin[1], z = anchor[3 * i + 2] - origin[2];
+        const x = anchor[3 * i] - origin[0],
+          y = anchor[3 * i + 1] - origin[1],
+          z = anchor[3 * i + 2] - origin[2];
         const depth = x * forward[0] + y * forward[1] + z * forward[2];
         if (depth > 0 && x * x + y * y + z * z < 1.1 * depth * depth) depths.push(depth);
       }

@@ -1,4 +1,7 @@
-/** Exposure of a picture by viewpoint: as a camera filmed where it stood, neutral away from all cameras (core/scene/exposures.py). */
+/**
+ * Exposure of a picture by viewpoint: as a camera filmed where it stood, neutral away from all cameras
+ * (core/scene/exposures.py).
+ */
 
 import { distanceTo, fromCamera } from "./camera.js";
 
@@ -20,14 +23,26 @@ export const NEUTRAL = [1, 1, 1, 0, 0, 0];
 export function exposureAt(centre, cameras, exposures) {
   if (!exposures?.length || exposures.length !== cameras.length) return NEUTRAL;
   const weights = cameras.map((camera, i) => nearness(distanceTo(centre, camera), reachOf(cameras, i)));
-  const total = weights.reduce((sum, weight) => sum + weight, 0), rest = Math.max(1 - total, 0);
-  return NEUTRAL.map((neutral, k) => (exposures.reduce((sum, exposure, i) => sum + weights[i] * exposure[k], 0) + rest * neutral) / (total + rest));
+  const total = weights.reduce((sum, weight) => sum + weight, 0),
+    rest = Math.max(1 - total, 0);
+  return NEUTRAL.map(
+    (neutral, k) =>
+      (exposures.reduce((sum, exposure, i) => sum + weights[i] * exposure[k], 0) + rest * neutral) / (total + rest),
+  );
 }
 
 /** Distance to the nearest other camera. @type {(cameras: RigCamera[], number: number) => number} */
-const reachOf = (cameras, number) => Math.min(...cameras.filter((_, i) => i !== number).map((other) => distanceTo(fromCamera(cameras[number], 1).position, other)));
+const reachOf = (cameras, number) =>
+  Math.min(
+    ...cameras
+      .filter((_, i) => i !== number)
+      .map((other) => distanceTo(fromCamera(cameras[number], 1).position, other)),
+  );
 
-/** 1 at a camera to 0 at `reach`; one camera alone reaches everywhere. @type {(away: number, reach: number) => number} */
+/**
+ * 1 at a camera to 0 at `reach`; one camera alone reaches everywhere.
+ * @type {(away: number, reach: number) => number}
+ */
 function nearness(away, reach) {
   const share = reach === Infinity || away === 0 ? 1 : reach === 0 ? 0 : Math.min(Math.max(1 - away / reach, 0), 1);
   return share * share * (3 - 2 * share);

@@ -65,7 +65,8 @@ export class Filming {
   #picture(takenMs) {
     this.filmed++;
     this.newest = performance.now();
-    const { link, video, canvas } = this, wanted = link.cameras.find(({ name }) => name === this.name);
+    const { link, video, canvas } = this,
+      wanted = link.cameras.find(({ name }) => name === this.name);
     if (!wanted || link.state !== "open") return;
     const from = part({ width: video.videoWidth, height: video.videoHeight }, wanted);
     if (this.turned !== !from) {
@@ -86,7 +87,8 @@ export class Filming {
 
   /** The encoder for pictures of the size that is wanted; null while it is made. @param {WantedCamera} wanted */
   #encoderFor({ width, height }) {
-    const size = `${width}×${height}`, { link } = this;
+    const size = `${width}×${height}`,
+      { link } = this;
     if (this.encoder?.failed) this.jpeg = true;
     else if (this.size === size) return this.encoder;
     this.size = size;

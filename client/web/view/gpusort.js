@@ -1,6 +1,7 @@
 /** Numbers in the order of their keys, on the graphics card (radix.wgsl). */
 
-const THREADS = 256, ROUNDS = 16; // as in radix.wgsl
+const THREADS = 256,
+  ROUNDS = 16; // as in radix.wgsl
 const SHIFTS = [0, 8, 16]; // of the digits that the passes sort by
 const STEPS = ["count", "add", "scatter"];
 const NUMBER = 4; // bytes
@@ -11,7 +12,10 @@ const USAGE = () => GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST | GPUBuffer
 /** @param {number} count - of keys */
 const blocks = (count) => Math.ceil(count / (THREADS * ROUNDS));
 
-/** Text of a shader beside this module, compiled. @type {(device: GPUDevice, name: string) => Promise<GPUShaderModule>} */
+/**
+ * Text of a shader beside this module, compiled.
+ * @type {(device: GPUDevice, name: string) => Promise<GPUShaderModule>}
+ */
 export async function shader(device, name) {
   const answer = await fetch(new URL(name, import.meta.url));
   if (!answer.ok) throw new Error(`${name} is missing`);
@@ -21,12 +25,29 @@ export async function shader(device, name) {
 export class GpuSort {
   /** @param {GPUDevice} device @returns {Promise<GpuSort>} */
   static async create(device) {
-    const module = await shader(device, "radix.wgsl"), { COMPUTE: visibility } = GPUShaderStage;
-    const layout = device.createBindGroupLayout({ entries: [0, 1, 2, 3, 4, 5].map((binding) => ({ binding, visibility, buffer: { type: binding < 2 ? "read-only-storage" : "storage" } })) });
-    const pipelines = SHIFTS.map((shift) => Promise.all(STEPS.map((entryPoint) => device.createComputePipelineAsync({
-      layout: device.createPipelineLayout({ bindGroupLayouts: [layout] }),
-      compute: { module, entryPoint, constants: { ...(entryPoint === "add" ? { QUADS } : { SHIFT: shift }), IS_FIRST: Number(shift === 0) } },
-    }))));
+    const module = await shader(device, "radix.wgsl"),
+      { COMPUTE: visibility } = GPUShaderStage;
+    const layout = device.createBindGroupLayout({
+      entries: [0, 1, 2, 3, 4, 5].map((binding) => ({
+        binding,
+        visibility,
+        buffer: { type: binding < 2 ? "read-only-storage" : "storage" },
+      })),
+    });
+    const pipelines = SHIFTS.map((shift) =>
+      Promise.all(
+        STEPS.map((entryPoint) =>
+          device.createComputePipelineAsync({
+            layout: device.createPipelineLayout({ bindGroupLayouts: [layout] }),
+            compute: {
+              module,
+              entryPoint,
+              constants: { ...(entryPoint === "add" ? { QUADS } : { SHIFT: shift }), IS_FIRST: Number(shift === 0) },
+            },
+          }),
+        ),
+      ),
+    );
     return new GpuSort(device, layout, await Promise.all(pipelines));
   }
 
@@ -35,7 +56,10 @@ export class GpuSort {
     this.device = device;
     this.layout = layout;
     this.passes = passes;
-    /** Of the draw, as drawIndexedIndirect takes them; then how many keys there are, and how many of them are not left out. */
+    /**
+     * Of the draw, as drawIndexedIndirect takes them; then how many keys there are, and how many of them are not left
+     * out.
+     */
     this.sizes = device.createBuffer({ size: 7 * NUMBER, usage: USAGE() | GPUBufferUsage.INDIRECT });
     this.count = 0;
     this.room = 1;
@@ -44,13 +68,23 @@ export class GpuSort {
 
   /** @param {number} room */
   #make(room) {
-    const { device, layout, sizes } = this, numbers = (/** @type {number} */ count) => device.createBuffer({ size: count * NUMBER, usage: USAGE() });
+    const { device, layout, sizes } = this,
+      numbers = (/** @type {number} */ count) => device.createBuffer({ size: count * NUMBER, usage: USAGE() });
     const unsorted = { keys: numbers(room), numbers: numbers(room) }; // to be written; keys from 2^24 on must be LEFT_OUT
     const sorted = { keys: numbers(room), numbers: numbers(room) }; // where an odd number of passes leads
     const places = numbers(THREADS * blocks(room));
-    const groups = [[unsorted, sorted], [sorted, unsorted]].map(([from, to]) => device.createBindGroup({
-      layout, entries: [from.keys, from.numbers, to.keys, to.numbers, places, sizes].map((buffer, binding) => ({ binding, resource: { buffer } })),
-    }));
+    const groups = [
+      [unsorted, sorted],
+      [sorted, unsorted],
+    ].map(([from, to]) =>
+      device.createBindGroup({
+        layout,
+        entries: [from.keys, from.numbers, to.keys, to.numbers, places, sizes].map((buffer, binding) => ({
+          binding,
+          resource: { buffer },
+        })),
+      }),
+    );
     return { unsorted, sorted, places, groups };
   }
 
@@ -75,7 +109,11 @@ export class GpuSort {
     if (!all) return; // `sizes` says so already
     for (const [i, [count, add, scatter]] of this.passes.entries()) {
       encoder.setBindGroup(0, this.buffers.groups[i % 2]);
-      for (const [pipeline, workgroups] of /** @type {[GPUComputePipeline, number][]} */ ([[count, all], [add, 1], [scatter, all]])) {
+      for (const [pipeline, workgroups] of /** @type {[GPUComputePipeline, number][]} */ ([
+        [count, all],
+        [add, 1],
+        [scatter, all],
+      ])) {
         encoder.setPipeline(pipeline);
         encoder.dispatchWorkgroups(workgroups);
       }

@@ -1,6 +1,7 @@
 /** Live sound: pieces of MP4 that come on the socket of the pictures, put together for an audio element. */
 
-const KEPT_SECONDS = 60, SPARE_SECONDS = 10; // of what was heard
+const KEPT_SECONDS = 60,
+  SPARE_SECONDS = 10; // of what was heard
 const TYPE = 'audio/mp4; codecs="opus"';
 
 export class LiveSound {
@@ -20,7 +21,10 @@ export class LiveSound {
     viewer.addEventListener("heard", take, { signal });
   }
 
-  /** Give an element its source. @param {HTMLAudioElement} audio @throws {Error} where the browser has none for such sound */
+  /**
+   * Give an element its source.
+   * @param {HTMLAudioElement} audio @throws {Error} where the browser has none for such sound
+   */
   open(audio) {
     /** @type {typeof MediaSource} */
     const Source = /** @type {any} */ (window).ManagedMediaSource ?? MediaSource; // the former on iPhones
@@ -46,7 +50,8 @@ export class LiveSound {
   #append() {
     const { audio, buffer, waiting } = this;
     if (!audio || !buffer || buffer.updating || !waiting.length) return;
-    const begin = buffer.buffered.length ? buffer.buffered.start(0) : Infinity, old = audio.currentTime - KEPT_SECONDS;
+    const begin = buffer.buffered.length ? buffer.buffered.start(0) : Infinity,
+      old = audio.currentTime - KEPT_SECONDS;
     if (begin < old - SPARE_SECONDS) buffer.remove(begin, old);
     else buffer.appendBuffer(/** @type {ArrayBuffer} */ (waiting.shift()));
   }

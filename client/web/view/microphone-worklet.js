@@ -1,7 +1,10 @@
 /** Runs where the browser makes sound: hands it on in parts of equal length, each with the number of its first sample. */
 
 /** @typedef {{ port: MessagePort }} Processor */
-const scope = /** @type {{ AudioWorkletProcessor: new () => Processor, registerProcessor: (name: string, type: unknown) => void, currentFrame: number }} */ (/** @type {unknown} */ (globalThis));
+const scope =
+  /** @type {{ AudioWorkletProcessor: new () => Processor, registerProcessor: (name: string, type: unknown) => void, currentFrame: number }} */ (
+    /** @type {unknown} */ (globalThis)
+  );
 
 class Parts extends scope.AudioWorkletProcessor {
   /** @param {{ processorOptions: { samples: number } }} options */
@@ -13,7 +16,7 @@ class Parts extends scope.AudioWorkletProcessor {
 
   /** @param {Float32Array[][]} inputs */
   process([[input]]) {
-    for (let at = 0; input && at < input.length; ) {
+    for (let at = 0; input && at < input.length;) {
       const taken = Math.min(input.length - at, this.part.length - this.filled);
       this.part.set(input.subarray(at, at + taken), this.filled);
       this.filled += taken;

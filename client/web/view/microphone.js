@@ -1,6 +1,7 @@
 /** The microphone of this device: its sound in parts of 60 ms with the time at which each began, as Opus or as samples. */
 
-const RATE = 48_000, SAMPLES = 2880; // a second; in a part, 60 ms: the longest frame of Opus
+const RATE = 48_000,
+  SAMPLES = 2880; // a second; in a part, 60 ms: the longest frame of Opus
 const KEPT = 200; // parts from which delays are known
 const OPUS_DELAY_MS = 6.5; // a decoder puts out this much later what went in (RFC 7845 section 4.2, at libopus' 312 samples)
 const BITS_A_SECOND = 64_000;
@@ -8,12 +9,17 @@ const BITS_A_SECOND = 64_000;
 /** @typedef {(takenMs: number, codec: "opus" | "pcm", sound: Uint8Array) => void} Output */
 
 export class Microphone {
-  /** @param {MediaStream} media - has a track of sound @param {boolean} pcm - rather than Opus @param {Output} output */
+  /**
+   * @param {MediaStream} media - has a track of sound
+   * @param {boolean} pcm - rather than Opus
+   * @param {Output} output
+   */
   constructor(media, pcm, output) {
     this.output = output;
     this.pcm = pcm;
     this.over = false;
-    this.latencyMs = 1000 * (/** @type {any} */ (media.getAudioTracks()[0].getSettings()).latency ?? 0);
+    const settings = /** @type {any} */ (media.getAudioTracks()[0].getSettings());
+    this.latencyMs = 1000 * (settings.latency ?? 0);
     /** @type {number[]} how long after its place in the sound each of the newest parts came, ms */
     this.delays = [];
     /** @type {AudioEncoder | null} */
@@ -30,15 +36,27 @@ export class Microphone {
     if (!this.pcm) await this.#makeEncoder();
     await this.context.audioWorklet.addModule(new URL("./microphone-worklet.js", import.meta.url));
     if (this.over) return;
-    const node = new AudioWorkletNode(this.context, "parts", { numberOfOutputs: 0, channelCount: 1, channelCountMode: "explicit", processorOptions: { samples: SAMPLES } });
+    const node = new AudioWorkletNode(this.context, "parts", {
+      numberOfOutputs: 0,
+      channelCount: 1,
+      channelCountMode: "explicit",
+      processorOptions: { samples: SAMPLES },
+    });
     node.port.onmessage = ({ data }) => this.#take(data.first, data.samples);
     this.source.connect(node);
     await this.context.resume();
   }
 
   async #makeEncoder() {
-    const config = /** @type {AudioEncoderConfig} */ ({ codec: "opus", sampleRate: RATE, numberOfChannels: 1, bitrate: BITS_A_SECOND, opus: { frameDuration: (1e6 * SAMPLES) / RATE } });
-    if (!("AudioEncoder" in window) || !(await AudioEncoder.isConfigSupported(config).catch(() => null))?.supported) return;
+    const config = /** @type {AudioEncoderConfig} */ ({
+      codec: "opus",
+      sampleRate: RATE,
+      numberOfChannels: 1,
+      bitrate: BITS_A_SECOND,
+      opus: { frameDuration: (1e6 * SAMPLES) / RATE },
+    });
+    if (!("AudioEncoder" in window) || !(await AudioEncoder.isConfigSupported(config).catch(() => null))?.supported)
+      return;
     this.encoder = new AudioEncoder({
       output: (chunk) => {
         const bytes = new Uint8Array(chunk.byteLength);
@@ -59,10 +77,24 @@ export class Microphone {
     const takenMs = placeMs + Math.min(...this.delays) - this.latencyMs; // the least delayed one tells most
     if (this.encoder) {
       this.waiting.push(takenMs);
-      const part = new AudioData({ format: "f32", sampleRate: RATE, numberOfFrames: samples.length, numberOfChannels: 1, timestamp: Math.round(1000 * placeMs), data: /** @type {Float32Array<ArrayBuffer>} */ (samples) });
+      const part = new AudioData({
+        format: "f32",
+        sampleRate: RATE,
+        numberOfFrames: samples.length,
+        numberOfChannels: 1,
+        timestamp: Math.round(1000 * placeMs),
+        data: /** @type {Float32Array<ArrayBuffer>} */ (samples),
+      });
       this.encoder.encode(part);
       part.close();
-    } else this.output(takenMs, "pcm", new Uint8Array(Int16Array.from(samples, (value) => Math.max(-32768, Math.min(32767, Math.round(32768 * value)))).buffer));
+    } else
+      this.output(
+        takenMs,
+        "pcm",
+        new Uint8Array(
+          Int16Array.from(samples, (value) => Math.max(-32768, Math.min(32767, Math.round(32768 * value)))).buffer,
+        ),
+      );
   }
 
   stop() {

@@ -1,6 +1,7 @@
 /** How long drawing takes: of the newest picture, and the rate that it sustains. */
 
-const VSYNC_MS = 25, ASLEEP_MS = 3000; // between two frames: more means that drawing was waited for; that nobody looked
+const VSYNC_MS = 25,
+  ASLEEP_MS = 3000; // between two frames: more means that drawing was waited for; that nobody looked
 
 export class Pace {
   constructor() {
@@ -24,7 +25,9 @@ export class Pace {
    * @returns {{ ms: number, drew: boolean, all: boolean }} since the last frame; whether something was drawn for somebody who looked, and everything
    */
   tick(now) {
-    const { drew, drewAll: all } = this, ms = now - this.lastFrame, awake = ms < ASLEEP_MS;
+    const { drew, drewAll: all } = this,
+      ms = now - this.lastFrame,
+      awake = ms < ASLEEP_MS;
     this.lastFrame = now;
     this.drew = this.drewAll = false;
     if (drew && awake) this.frameMs = ms;
@@ -35,7 +38,12 @@ export class Pace {
     return { ms, drew: (drew || all) && awake, all };
   }
 
-  /** A picture was drawn in the frame that began then. @param {number} now @param {boolean} moves - whether things move @param {boolean} all - whether it is everything there is */
+  /**
+   * A picture was drawn in the frame that began then.
+   * @param {number} now
+   * @param {boolean} moves - whether things move
+   * @param {boolean} all - whether it is everything there is
+   */
   draw(now, moves, all) {
     this.drew = moves;
     this.drewAll = all;

@@ -1,10 +1,16 @@
-/** What draws, one after the other: WebGPU, WebGL2 or the server; and the last picture moved on, where splats take too long. */
+/**
+ * What draws, one after the other: WebGPU, WebGL2 or the server; and the last picture moved on, where splats take too
+ * long.
+ */
 
 import { Renderer } from "./renderer.js";
 import { Surface } from "./surface.js";
 import { Warp } from "./warp.js";
 
-/** Fires `replaced` when another one draws, which has nothing yet, and `lost` when there is a graphics card no more, or again. */
+/**
+ * Fires `replaced` when another one draws, which has nothing yet, and `lost` when there is a graphics card no more, or
+ * again.
+ */
 export class Painter extends EventTarget {
   /** @param {HTMLCanvasElement} canvas @param {Surface} renderer */
   constructor(canvas, renderer) {
@@ -56,7 +62,10 @@ export class Painter extends EventTarget {
     this.isOld = true;
   }
 
-  /** @param {import("./surface.js").View} view @param {boolean} rests - draw everything, whatever moves the last picture */
+  /**
+   * @param {import("./surface.js").View} view
+   * @param {boolean} rests - draw everything, whatever moves the last picture
+   */
   draw(view, rests) {
     const warp = this.#warping();
     if (!warp) return this.renderer.draw(view);

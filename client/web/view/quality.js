@@ -8,18 +8,27 @@ export const QUALITIES = [
   { name: "high", label: "High", note: "everything, always" },
   { name: "low", label: "Low", note: "saves data" },
 ];
-const SLOW_FPS = 15, FAST_FPS = 30;
+const SLOW_FPS = 15,
+  FAST_FPS = 30;
 const MAX_FRAME_MS = 70; // so that a drag is answered within 100 ms
-const PATIENCE = 2, COURAGE = 8; // measurements in a row before a step down or up
+const PATIENCE = 2,
+  COURAGE = 8; // measurements in a row before a step down or up
 const COOL_DOWN = 40; // heartbeats before a step that proved too slow is tried again
 
 /** @typedef {{ resolution: number, share: number, warps?: boolean }} Step */
 
-/** What auto gives up while things move, little by little: shares of the screen's resolution and of the splats (renderer.js). At last it draws rarely, and moves the last picture meanwhile (warp.js). */
+/**
+ * What auto gives up while things move, little by little: shares of the screen's resolution and of the splats
+ * (renderer.js). At last it draws rarely, and moves the last picture meanwhile (warp.js).
+ */
 /** @type {Step[]} */
 const STEPS = [
-  { resolution: 1, share: 1 }, { resolution: 0.75, share: 1 }, { resolution: 0.6, share: 0.7 }, { resolution: 0.5, share: 0.5 },
-  { resolution: 0.4, share: 0.4 }, { resolution: 0.35, share: 0.3 },
+  { resolution: 1, share: 1 },
+  { resolution: 0.75, share: 1 },
+  { resolution: 0.6, share: 0.7 },
+  { resolution: 0.5, share: 0.5 },
+  { resolution: 0.4, share: 0.4 },
+  { resolution: 0.35, share: 0.3 },
   { resolution: 0.5, share: 0.3, warps: true },
 ];
 /** @type {Record<Name, Step[]>} */
@@ -72,7 +81,8 @@ export class Quality {
    * @param {boolean} all - everything was drawn, as at rest: where that is slow, the next movement begins coarser
    */
   frame(ms, all = false) {
-    if (all && this.name !== "high" && this.step === 0 && ms > 2 * MAX_FRAME_MS) this.#go(Math.round(1 + Math.log2(ms / MAX_FRAME_MS)));
+    if (all && this.name !== "high" && this.step === 0 && ms > 2 * MAX_FRAME_MS)
+      this.#go(Math.round(1 + Math.log2(ms / MAX_FRAME_MS)));
     else if (all && this.step > 0) return;
     else if (this.settling > 0) this.settling--;
     else if (this.name !== "high" && ms > MAX_FRAME_MS) {
@@ -107,7 +117,8 @@ export class Quality {
   }
 
   #apply() {
-    const { viewer } = this, { resolution, share, warps = false } = this.#now;
+    const { viewer } = this,
+      { resolution, share, warps = false } = this.#now;
     viewer.painter.warps = warps;
     viewer.resolution = resolution;
     viewer.share = share;
@@ -122,7 +133,8 @@ export class Quality {
 
   /** In words. */
   explain() {
-    const { resolution, share, warps } = this.#now, levels = this.total ? ` ${this.asked ?? this.total} of ${this.total} levels.` : "";
+    const { resolution, share, warps } = this.#now,
+      levels = this.total ? ` ${this.asked ?? this.total} of ${this.total} levels.` : "";
     if (resolution === 1) return `Drawn in full.${levels}`;
     if (warps) return `While it moves: the last picture, moved along. At rest everything.${levels}`;
     const splats = share < 1 ? ` and ${Math.round(100 * share)} % of the splats` : "";

@@ -93,7 +93,11 @@ void main() {
   ${isDeep ? "depth = vec4(nearness * alpha, 0, 0, alpha);" : ""}
 }`;
 
-/** 0 to 1: multiples of the golden ratio, so that of any range of splats, and so at any place, a share has ranks below it. @type {(splat: number) => number} */
+/**
+ * 0 to 1: multiples of the golden ratio, so that of any range of splats, and so at any place, a share has ranks below
+ * it.
+ * @type {(splat: number) => number}
+ */
 const rankOf = (splat) => (Math.imul(splat, 0x9e3779b9) >>> 8) / 0x1000000;
 
 const CORNERS = [0, 1, 2, 2, 1, 3]; // of a quad's two triangles
@@ -101,7 +105,10 @@ const CORNERS = [0, 1, 2, 2, 1, 3]; // of a quad's two triangles
 /** A program of two shaders. @type {(gl: WebGL2RenderingContext, vertex: string, fragment: string) => WebGLProgram} */
 export function link(gl, vertex, fragment) {
   const program = gl.createProgram();
-  for (const [kind, source] of /** @type {[number, string][]} */ ([[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]])) {
+  for (const [kind, source] of /** @type {[number, string][]} */ ([
+    [gl.VERTEX_SHADER, vertex],
+    [gl.FRAGMENT_SHADER, fragment],
+  ])) {
     const shader = /** @type {WebGLShader} */ (gl.createShader(kind));
     gl.shaderSource(shader, source);
     gl.compileShader(shader);
@@ -115,7 +122,11 @@ export function link(gl, vertex, fragment) {
   return program;
 }
 
-/** A part of a framebuffer, pixels; `isDeep`: its second colour is how near things are, weighted by their opacity, and that. @typedef {{ framebuffer: WebGLFramebuffer | null, x: number, y: number, width: number, height: number, isSeeThrough?: boolean, isDeep?: boolean }} Target */
+/**
+ * A part of a framebuffer, pixels; `isDeep`: its second colour is how near things are, weighted by their opacity, and
+ * that.
+ * @typedef {{ framebuffer: WebGLFramebuffer | null, x: number, y: number, width: number, height: number, isSeeThrough?: boolean, isDeep?: boolean }} Target
+ */
 
 export class Renderer extends Surface {
   /**
@@ -123,7 +134,12 @@ export class Renderer extends Surface {
    * @throws {Error} where WebGL2 is missing
    */
   constructor(canvas) {
-    const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, depth: false, powerPreference: "high-performance" });
+    const gl = canvas.getContext("webgl2", {
+      antialias: false,
+      alpha: false,
+      depth: false,
+      powerPreference: "high-performance",
+    });
     if (!gl) throw new Error("no WebGL2");
     super(canvas);
     this.api = "WebGL2";
@@ -150,14 +166,19 @@ export class Renderer extends Surface {
     for (const [i, texture] of [this.before, this.places, this.texture].entries()) {
       gl.activeTexture(gl.TEXTURE0 + i);
       gl.bindTexture(gl.TEXTURE_2D, texture);
-      for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
+      for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER])
+        gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
     }
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.source);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.bindVertexArray(this.array);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.quads);
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, Uint16Array.from({ length: 6 * RUN }, (_, i) => 4 * Math.trunc(i / 6) + CORNERS[i % 6]), gl.STATIC_DRAW);
+    gl.bufferData(
+      gl.ELEMENT_ARRAY_BUFFER,
+      Uint16Array.from({ length: 6 * RUN }, (_, i) => 4 * Math.trunc(i / 6) + CORNERS[i % 6]),
+      gl.STATIC_DRAW,
+    );
     gl.enable(gl.SCISSOR_TEST); // clearing one eye's part must not clear the other's
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
@@ -171,7 +192,8 @@ export class Renderer extends Surface {
   /** @returns {number} of pictures that are still being drawn */
   get waiting() {
     const { gl, fences } = this;
-    while (fences.length && gl.getSyncParameter(fences[0], gl.SYNC_STATUS) !== gl.UNSIGNALED) gl.deleteSync(/** @type {WebGLSync} */ (fences.shift()));
+    while (fences.length && gl.getSyncParameter(fences[0], gl.SYNC_STATUS) !== gl.UNSIGNALED)
+      gl.deleteSync(/** @type {WebGLSync} */ (fences.shift()));
     return fences.length;
   }
 
@@ -209,8 +231,11 @@ export class Renderer extends Surface {
 
   /** Give the graphics card the order, without splats that are never drawn. @param {number} share */
   #upload(share) {
-    const { gl } = this, limit = MAX_KEEP * share, order = limit < 1 ? this.order.filter((splat) => rankOf(splat) <= limit) : this.order;
-    const rows = Math.ceil(order.length / ORDER_WIDTH), whole = Math.trunc(order.length / ORDER_WIDTH);
+    const { gl } = this,
+      limit = MAX_KEEP * share,
+      order = limit < 1 ? this.order.filter((splat) => rankOf(splat) <= limit) : this.order;
+    const rows = Math.ceil(order.length / ORDER_WIDTH),
+      whole = Math.trunc(order.length / ORDER_WIDTH);
     gl.activeTexture(gl.TEXTURE1);
     if (rows > this.placeRows) {
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.R32UI, ORDER_WIDTH, rows, 0, gl.RED_INTEGER, gl.UNSIGNED_INT, null);
@@ -218,14 +243,22 @@ export class Renderer extends Surface {
     }
     if (whole) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ORDER_WIDTH, whole, gl.RED_INTEGER, gl.UNSIGNED_INT, order);
     const rest = order.subarray(whole * ORDER_WIDTH);
-    if (rest.length) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, whole, rest.length, 1, gl.RED_INTEGER, gl.UNSIGNED_INT, rest);
+    if (rest.length)
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, whole, rest.length, 1, gl.RED_INTEGER, gl.UNSIGNED_INT, rest);
     this.count = order.length;
     this.uploaded = share;
   }
 
   /** @param {View} view @param {Target} [target] - the canvas where none is given */
   draw(view, target) {
-    const { gl } = this, { framebuffer, x, y, width, height } = target ?? { framebuffer: null, x: 0, y: 0, width: gl.canvas.width, height: gl.canvas.height };
+    const { gl } = this,
+      { framebuffer, x, y, width, height } = target ?? {
+        framebuffer: null,
+        x: 0,
+        y: 0,
+        width: gl.canvas.width,
+        height: gl.canvas.height,
+      };
     const exposure = view.exposure ?? NEUTRAL;
     gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
     gl.viewport(x, y, width, height);

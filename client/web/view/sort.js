@@ -1,6 +1,7 @@
 /** Back-to-front order of splats by view depth: two counting passes over 22 bits of the depth. */
 
-const BITS = 11, BUCKETS = 1 << BITS;
+const BITS = 11,
+  BUCKETS = 1 << BITS;
 export const NEAR = 0.01; // splats nearer than this are not drawn, as in the other renderers
 
 /** Its memory grows with the scene. */
@@ -35,17 +36,22 @@ export class DepthSort {
       this.out = new Uint32Array(room);
     }
     const { depth, key, first, kept, out, low, high } = this;
-    const { 0: a, 1: b, 2: c } = forward, { 0: u, 1: v, 2: w } = eye;
+    const { 0: a, 1: b, 2: c } = forward,
+      { 0: u, 1: v, 2: w } = eye;
     let shown = 0;
     for (let i = 0; i < count; i++) {
       const o = active[i] * stride;
-      const x = splats[o] - u, y = splats[o + 1] - v, t = splats[o + 2] - w, z = a * x + b * y + c * t;
+      const x = splats[o] - u,
+        y = splats[o + 1] - v,
+        t = splats[o + 2] - w,
+        z = a * x + b * y + c * t;
       if (z >= NEAR && x * x + y * y + t * t >= near * near) {
         depth[shown] = z; // bits of positive floats are ordered like the floats
         kept[shown++] = active[i];
       }
     }
-    let least = 0xffffffff, most = 0;
+    let least = 0xffffffff,
+      most = 0;
     for (let i = 0; i < shown; i++) {
       if (key[i] < least) least = key[i];
       if (key[i] > most) most = key[i];
@@ -60,7 +66,8 @@ export class DepthSort {
       high[k >>> BITS]++;
     }
     for (let i = 0, l = 0, h = 0; i < BUCKETS; i++) {
-      const nl = low[i], nh = high[i];
+      const nl = low[i],
+        nh = high[i];
       low[i] = l;
       high[i] = h;
       l += nl;

@@ -1,4 +1,7 @@
-/** Where one stands in the scene and looks, and the ways to go elsewhere: at once, gliding, or by hand in what the rig has seen. */
+/**
+ * Where one stands in the scene and looks, and the ways to go elsewhere: at once, gliding, or by hand in what the rig
+ * has seen.
+ */
 
 import { rigUp } from "../lib/rig.js";
 import { between, fromCamera, homeCamera, target } from "./camera.js";
@@ -21,7 +24,14 @@ export class Stance extends EventTarget {
     this.depthOf = depthOf;
     this.isStill = isStill;
     /** @type {Pose} */
-    this.pose = { rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], position: [0, 0, -3], distance: 3, focal: 1, stretch: 1, shift: [0, 0] };
+    this.pose = {
+      rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1],
+      position: [0, 0, -3],
+      distance: 3,
+      focal: 1,
+      stretch: 1,
+      shift: [0, 0],
+    };
     /** @type {Vec3} */
     this.up = [0, -1, 0];
     /** @type {Pose | null} */
@@ -37,7 +47,8 @@ export class Stance extends EventTarget {
   /** There is a scene, which these cameras film. @param {RigCamera[]} cameras - at least one */
   meet(cameras) {
     this.up = rigUp(cameras);
-    const first = !this.home, begin = fromCamera(cameras[homeCamera(cameras)], this.pose.distance);
+    const first = !this.home,
+      begin = fromCamera(cameras[homeCamera(cameras)], this.pose.distance);
     this.home = begin;
     if (first && !this.posed) this.moveTo(begin, false);
     else this.#change();
@@ -61,7 +72,11 @@ export class Stance extends EventTarget {
     this.#orbitAround(pose);
   }
 
-  /** Go around what `pose` looks at, if nobody has gone elsewhere. @param {Pose} pose @returns {Promise<number>} how far away it lies */
+  /**
+   * Go around what `pose` looks at, if nobody has gone elsewhere.
+   * @param {Pose} pose
+   * @returns {Promise<number>} how far away it lies
+   */
   async #orbitAround(pose) {
     const distance = (await this.depthOf(pose)) || pose.distance;
     if (this.glide?.to === pose) this.glide.to = { ...pose, distance };
@@ -82,7 +97,8 @@ export class Stance extends EventTarget {
   /** Go on gliding, if it does. @param {number} now */
   step(now) {
     if (!this.glide) return;
-    const { from, to, start } = this.glide, t = Math.min(1, (now - start) / GLIDE_MS);
+    const { from, to, start } = this.glide,
+      t = Math.min(1, (now - start) / GLIDE_MS);
     this.pose = t < 1 ? between(from, to, t * t * (3 - 2 * t)) : to;
     if (t >= 1) this.glide = null;
     this.#change();

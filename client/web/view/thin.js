@@ -36,7 +36,8 @@ class Screen extends Surface {
 
   /** @param {View} view */
   draw(view) {
-    const { context, link } = this, { width, height } = this.canvas;
+    const { context, link } = this,
+      { width, height } = this.canvas;
     context.fillStyle = `rgb(${this.background.map((x) => Math.round(255 * x)).join(" ")})`;
     context.fillRect(0, 0, width, height);
     if (link.bitmap) context.drawImage(link.bitmap, 0, 0, width, height);
@@ -75,7 +76,12 @@ export class ThinLink extends Link {
   }
 
   tell() {
-    this.#tell({ type: "status", status: { ...this.session.status, stopping: this.stopAt !== null }, refusals: 0, now: performance.now() });
+    this.#tell({
+      type: "status",
+      status: { ...this.session.status, stopping: this.stopAt !== null },
+      refusals: 0,
+      now: performance.now(),
+    });
   }
 
   /** @param {import("./messages.js").ToWorker} message */
@@ -140,9 +146,13 @@ export class ThinLink extends Link {
 
   /** @param {string} text */
   #hear(text) {
-    const message = heard(text), name = message && nameOf(message);
+    const message = heard(text),
+      name = message && nameOf(message);
     if (name === "scene") {
-      const cameras = message.cameras.map((/** @type {any} */ { world_to_camera: worldToCamera, ...camera }) => ({ ...camera, worldToCamera }));
+      const cameras = message.cameras.map((/** @type {any} */ { world_to_camera: worldToCamera, ...camera }) => ({
+        ...camera,
+        worldToCamera,
+      }));
       const { background, fps, levels, view_dependent: viewDependent } = message;
       this.#tell({ type: "scene", cameras, background, fps, levels, viewDependent });
     } else if (name === "picked") {
@@ -169,13 +179,19 @@ export class ThinLink extends Link {
 
   /** A picture came. @param {ArrayBuffer} data @param {WebSocket} socket */
   async #show(data, socket) {
-    const { session } = this, size = Math.min(HEADER_BYTES, data.byteLength), image = new Uint8Array(data, size);
-    const start = performance.now(), bitmap = await createImageBitmap(new Blob([image], { type: "image/jpeg" })).catch(() => null);
+    const { session } = this,
+      size = Math.min(HEADER_BYTES, data.byteLength),
+      image = new Uint8Array(data, size);
+    const start = performance.now(),
+      bitmap = await createImageBitmap(new Blob([image], { type: "image/jpeg" })).catch(() => null);
     if (socket !== this.socket) return bitmap?.close();
     if (!bitmap) return this.#refuse();
     const head = new DataView(data, 0, HEADER_BYTES);
     const [number, epoch, version] = [0, 4, 8].map((at) => head.getUint32(at, true));
-    session.arrived(data.byteLength, version === session.status.position?.version ? session.lastPacket : performance.now());
+    session.arrived(
+      data.byteLength,
+      version === session.status.position?.version ? session.lastPacket : performance.now(),
+    );
     const { held } = this; // after a seek the server draws nothing before that version
     if (held === null || held === version || start > this.heldUntil) {
       this.held = null;
@@ -185,11 +201,23 @@ export class ThinLink extends Link {
       session.applied(version, 0, start);
       session.unacknowledged = 0;
       // The server goes on only after the acknowledgement, so it stops where we are.
-      if (this.stopAt && session.status.mode === "live" && version >= this.stopAt.version) this.#command({ type: "pause" });
+      if (this.stopAt && session.status.mode === "live" && version >= this.stopAt.version)
+        this.#command({ type: "pause" });
       const drawn = { width: head.getUint16(12, true), height: head.getUint16(14, true), quality: head.getUint8(16) };
       this.#tell({
-        type: "picture", generation: 0, rows: 0, spans: [], order: null, splats: 0, missing: 0, version, drawn,
-        position: session.status.position, decodeMs: performance.now() - start, expandMs: head.getUint32(20, true) / 1000, sortMs: 0,
+        type: "picture",
+        generation: 0,
+        rows: 0,
+        spans: [],
+        order: null,
+        splats: 0,
+        missing: 0,
+        version,
+        drawn,
+        position: session.status.position,
+        decodeMs: performance.now() - start,
+        expandMs: head.getUint32(20, true) / 1000,
+        sortMs: 0,
       });
     } else bitmap.close();
     this.transmit([{ type: "ack", picture: number }]);
@@ -208,7 +236,12 @@ export class ThinLink extends Link {
   /** @param {any} wanted */
   #command(wanted) {
     const { position, window: range } = this.session.status;
-    const message = wanted.type === "play" && position ? { type: "seek", to: this.stopAt ?? position } : wanted.type === "speed" ? { type: "set", speed: wanted.value } : wanted;
+    const message =
+      wanted.type === "play" && position
+        ? { type: "seek", to: this.stopAt ?? position }
+        : wanted.type === "speed"
+          ? { type: "set", speed: wanted.value }
+          : wanted;
     if (message.type === "seek") {
       this.stopAt = message.stop ? message.to : null;
       this.#hold(message.to === "live" ? (range?.newest.version ?? null) : message.to.version);
@@ -216,7 +249,12 @@ export class ThinLink extends Link {
     this.transmit([message]);
   }
 
-  /** The page drew `view` on a canvas of that size: tell the server, if that is news. @param {View} view @param {number} width @param {number} height */
+  /**
+   * The page drew `view` on a canvas of that size: tell the server, if that is news.
+   * @param {View} view
+   * @param {number} width
+   * @param {number} height
+   */
   look({ rotation, translation: t, focal, principal }, width, height) {
     const r = Array.from(rotation);
     this.view = JSON.stringify({ type: "view", width, height, rotation: r, position: centre(r, t), focal, principal });

@@ -16,7 +16,8 @@ import { Stance } from "./stance.js";
 /** @typedef {import("./messages.js").FromWorker} FromWorker */
 
 const LENS = 0.03; // the largest radius of the lens, in distances of what is looked at
-const REST_MS = 400, HELD_MS = 1000; // a view that has not changed for so long is drawn in full; while a finger or button is down
+const REST_MS = 400,
+  HELD_MS = 1000; // a view that has not changed for so long is drawn in full; while a finger or button is down
 const MIN_FILL = 0.6; // of a narrow screen's height: what a camera sees is cut left and right to fill that much
 const MAX_PATIENCE_MS = 1500; // where pictures take long
 const still = matchMedia("(prefers-reduced-motion: reduce)");
@@ -32,7 +33,10 @@ export class Viewer extends EventTarget {
     this.canvas = canvas; // which hands are on, and of the picture's size
     this.painter = new Painter(canvas, renderer);
     this.pace = new Pace();
-    this.stance = new Stance((pose) => this.#depthOf(pose), () => still.matches);
+    this.stance = new Stance(
+      (pose) => this.#depthOf(pose),
+      () => still.matches,
+    );
     this.worker = worker;
     this.thin = renderer.api === "server";
     // What the worker said before it heard of the end may still arrive: nothing may be drawn with what was freed.
@@ -81,11 +85,12 @@ export class Viewer extends EventTarget {
 
   /** Draw by the clock of this window, which the canvas is in, from now on. @param {Window} pane */
   runIn(pane) {
-    const run = ++this.runs, loop = () => {
-      if (!this.running || run !== this.runs) return;
-      pane.requestAnimationFrame(loop);
-      this.#frame();
-    };
+    const run = ++this.runs,
+      loop = () => {
+        if (!this.running || run !== this.runs) return;
+        pane.requestAnimationFrame(loop);
+        this.#frame();
+      };
     pane.requestAnimationFrame(loop);
     this.resize();
   }
@@ -177,7 +182,10 @@ export class Viewer extends EventTarget {
 
   /** Ask for splats as they are seen from there. @param {{ position: Vec3, rotation: number[] }} view */
   lookFrom({ position, rotation }) {
-    this.tell({ type: "view", view: { position, rotation, levels: this.levels, unsorted: this.painter.renderer.sorts } });
+    this.tell({
+      type: "view",
+      view: { position, rotation, levels: this.levels, unsorted: this.painter.renderer.sorts },
+    });
     this.dispatchEvent(new CustomEvent("looked", { detail: { position, rotation } }));
   }
 
@@ -194,9 +202,14 @@ export class Viewer extends EventTarget {
     return { width, height: Math.max(1, Math.round(this.canvas.clientHeight * scale)) };
   }
 
-  /** Give the drawing buffer its size. @param {boolean} [waits] - even if the page stands still until what is being drawn is done @returns {boolean} whether it has it */
+  /**
+   * Give the drawing buffer its size.
+   * @param {boolean} [waits] - even if the page stands still until what is being drawn is done
+   * @returns {boolean} whether it has it
+   */
   #fit(waits = false) {
-    const { canvas } = this, { width, height } = this.#size();
+    const { canvas } = this,
+      { width, height } = this.#size();
     if (width === canvas.width && height === canvas.height) return true;
     if (this.painter.renderer.waiting && !waits) return false;
     Object.assign(canvas, { width, height });
@@ -211,13 +224,22 @@ export class Viewer extends EventTarget {
     const unit = this.whole ? whole : Math.max(whole, MIN_FILL * height);
     const translation = [0, 1, 2].map((i) => -dot(row(rotation, i), position));
     const scale = focal * unit;
-    return { rotation, translation, focal: [scale * stretch, scale], principal: [width / 2 + shift[0] * unit, height / 2 + shift[1] * unit],
-      share: this.resting ? 1 : this.share, range: distance, lens: LENS * this.blur * distance,
-      near: nearRadius(position, this.scene?.cameras ?? []), exposure: exposureAt(position, this.scene?.cameras ?? [], this.scene?.exposures) };
+    return {
+      rotation,
+      translation,
+      focal: [scale * stretch, scale],
+      principal: [width / 2 + shift[0] * unit, height / 2 + shift[1] * unit],
+      share: this.resting ? 1 : this.share,
+      range: distance,
+      lens: LENS * this.blur * distance,
+      near: nearRadius(position, this.scene?.cameras ?? []),
+      exposure: exposureAt(position, this.scene?.cameras ?? [], this.scene?.exposures),
+    };
   }
 
   #frame() {
-    const { painter, pace } = this, now = performance.now();
+    const { painter, pace } = this,
+      now = performance.now();
     if (this.presenting || painter.renderer.waiting > 1) return; // what takes longer than a frame shows by the time until the next
     this.stance.step(now);
     this.dispatchEvent(new CustomEvent("frame", { detail: { now } }));
@@ -227,7 +249,8 @@ export class Viewer extends EventTarget {
     if (drew) this.dispatchEvent(new CustomEvent("drawn", { detail: { ms, all } }));
     // A view that rests gets everything, also of a new frame, however long that takes.
     const patience = Math.max(this.touched ? HELD_MS : REST_MS, Math.min(2 * pace.frameMs, MAX_PATIENCE_MS));
-    const rested = now - this.movedAt > patience, isCut = this.resolution < 1 || this.share < 1;
+    const rested = now - this.movedAt > patience,
+      isCut = this.resolution < 1 || this.share < 1;
     if (!this.dirty && (!rested || this.resting || !isCut)) return;
     if (rested !== this.resting) {
       this.resting = rested;
@@ -262,7 +285,10 @@ export class Viewer extends EventTarget {
     this.draw();
     this.dirty = true;
     return new Promise((resolve, reject) => {
-      this.painter.renderer.canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("no picture"))), "image/png");
+      this.painter.renderer.canvas.toBlob(
+        (blob) => (blob ? resolve(blob) : reject(new Error("no picture"))),
+        "image/png",
+      );
     });
   }
 

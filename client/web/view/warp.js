@@ -10,8 +10,11 @@ import { link } from "./renderer.js";
 /** @typedef {import("./surface.js").View} View */
 
 const NEAREST = 3; // nearness from which a ray is followed: a third of the range
-const STEP_PX = 4, MAX_STEPS = 24, HALVINGS = 4; // along a ray to the first surface, in the kept picture; then closer to it
-const MAX_TURN = 0.35, MAX_MOVE = 0.35; // radians; shares of the range: farther from where the picture was made it shows too little
+const STEP_PX = 4,
+  MAX_STEPS = 24,
+  HALVINGS = 4; // along a ray to the first surface, in the kept picture; then closer to it
+const MAX_TURN = 0.35,
+  MAX_MOVE = 0.35; // radians; shares of the range: farther from where the picture was made it shows too little
 const DUTY = 4; // a new picture is drawn once as many times as long as it takes has passed
 
 const VERTEX = `#version 300 es
@@ -60,7 +63,8 @@ export class Warp {
   /** @param {Renderer} renderer @throws {Error} where the graphics card cannot keep depths */
   constructor(renderer) {
     const { gl } = renderer;
-    if (!gl.getExtension("EXT_color_buffer_float") && !gl.getExtension("EXT_color_buffer_half_float")) throw new Error("no float buffers");
+    if (!gl.getExtension("EXT_color_buffer_float") && !gl.getExtension("EXT_color_buffer_half_float"))
+      throw new Error("no float buffers");
     this.renderer = renderer;
     this.program = link(gl, VERTEX, FRAGMENT);
     this.framebuffer = gl.createFramebuffer();
@@ -83,8 +87,10 @@ export class Warp {
         gl.bindTexture(gl.TEXTURE_2D, texture);
         const [inside, type] = i ? [gl.RGBA16F, gl.HALF_FLOAT] : [gl.RGBA8, gl.UNSIGNED_BYTE];
         gl.texImage2D(gl.TEXTURE_2D, 0, inside, width, height, 0, gl.RGBA, type, null);
-        for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.LINEAR);
-        for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, name, gl.CLAMP_TO_EDGE);
+        for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER])
+          gl.texParameteri(gl.TEXTURE_2D, name, gl.LINEAR);
+        for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T])
+          gl.texParameteri(gl.TEXTURE_2D, name, gl.CLAMP_TO_EDGE);
         gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + i, gl.TEXTURE_2D, texture, 0);
       }
       gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
@@ -95,7 +101,11 @@ export class Warp {
     this.madeAt = performance.now();
   }
 
-  /** Whether a new picture is due: there is none, or it is old or from elsewhere, and the last one took little time. @param {View} view @param {boolean} isOld */
+  /**
+   * Whether a new picture is due: there is none, or it is old or from elsewhere, and the last one took little time.
+   * @param {View} view
+   * @param {boolean} isOld
+   */
   isDue(view, isOld) {
     const { seen } = this;
     if (!seen) return true;
@@ -106,7 +116,10 @@ export class Warp {
 
   /** The kept picture as it is seen from there. @param {View} view */
   draw(view) {
-    const { gl } = this.renderer, { width, height } = gl.canvas, { program } = this, seen = /** @type {View} */ (this.seen);
+    const { gl } = this.renderer,
+      { width, height } = gl.canvas,
+      { program } = this,
+      seen = /** @type {View} */ (this.seen);
     const at = (/** @type {string} */ name) => gl.getUniformLocation(program, name);
     const { turn, shift } = relative(view, seen);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
@@ -119,7 +132,10 @@ export class Warp {
     gl.uniform1i(at("depths"), 4);
     gl.uniformMatrix3fv(at("turn"), true, turn);
     gl.uniform3fv(at("shift"), shift);
-    gl.uniform1i(at("steps"), Math.min(MAX_STEPS, 1 + Math.ceil((NEAREST * Math.hypot(...shift) * seen.focal[1]) / STEP_PX)));
+    gl.uniform1i(
+      at("steps"),
+      Math.min(MAX_STEPS, 1 + Math.ceil((NEAREST * Math.hypot(...shift) * seen.focal[1]) / STEP_PX)),
+    );
     gl.uniform2f(at("viewport"), width, height);
     gl.uniform2f(at("focal"), ...view.focal);
     gl.uniform2f(at("principal"), ...view.principal);
@@ -138,7 +154,10 @@ export class Warp {
   }
 }
 
-/** From one camera's axes to another's: x of `from` is `turn` x + `shift` for things at the other's range. @type {(from: View, to: View) => { turn: number[], shift: number[] }} */
+/**
+ * From one camera's axes to another's: x of `from` is `turn` x + `shift` for things at the other's range.
+ * @type {(from: View, to: View) => { turn: number[], shift: number[] }}
+ */
 function relative(from, to) {
   const turn = [0, 1, 2].flatMap((i) => [0, 1, 2].map((j) => dot(row(to.rotation, i), row(from.rotation, j))));
   const shift = [0, 1, 2].map((i) => (to.translation[i] - dot(row(turn, i), from.translation)) / (to.range ?? 1));

@@ -13,7 +13,8 @@ import { MAX_BLUR, MAX_KEEP, MIN_KEEP, Surface } from "./surface.js";
 
 const THREADS = 256; // of a workgroup of project.wgsl
 const ROW_BYTES = 4 * RECORD * ROW_SPLATS;
-const QUAD_BYTES = 32, VIEW_BYTES = 128; // as in project.wgsl
+const QUAD_BYTES = 32,
+  VIEW_BYTES = 128; // as in project.wgsl
 const MAX_GROUPS = 65_535; // of a dispatch
 const CORNERS = [0, 1, 2, 2, 1, 3]; // of a quad's two triangles
 const OVER = /** @type {GPUBlendComponent} */ ({ srcFactor: "one", dstFactor: "one-minus-src-alpha" });
@@ -27,14 +28,24 @@ export async function createGpuRenderer(adapter, frame) {
   const { maxBufferSize, maxStorageBufferBindingSize } = adapter.limits;
   const device = await adapter.requestDevice({ requiredLimits: { maxBufferSize, maxStorageBufferBindingSize } });
   try {
-    const canvas = document.createElement("canvas"), context = canvas.getContext("webgpu"), format = navigator.gpu.getPreferredCanvasFormat();
+    const canvas = document.createElement("canvas"),
+      context = canvas.getContext("webgpu"),
+      format = navigator.gpu.getPreferredCanvasFormat();
     if (!context) throw new Error("no WebGPU canvas");
     context.configure({ device, format, alphaMode: "opaque" });
-    const [toProject, toDraw, sort] = await Promise.all([shader(device, "project.wgsl"), shader(device, "quads.wgsl"), GpuSort.create(device)]);
+    const [toProject, toDraw, sort] = await Promise.all([
+      shader(device, "project.wgsl"),
+      shader(device, "quads.wgsl"),
+      GpuSort.create(device),
+    ]);
     const [project, draw] = await Promise.all([
-      device.createComputePipelineAsync({ layout: "auto", compute: { module: toProject, constants: { MAX_KEEP, MIN_KEEP, MAX_BLUR } } }),
+      device.createComputePipelineAsync({
+        layout: "auto",
+        compute: { module: toProject, constants: { MAX_KEEP, MIN_KEEP, MAX_BLUR } },
+      }),
       device.createRenderPipelineAsync({
-        layout: "auto", vertex: { module: toDraw, constants: { QUADS } },
+        layout: "auto",
+        vertex: { module: toDraw, constants: { QUADS } },
         fragment: { module: toDraw, targets: [{ format, blend: { color: OVER, alpha: OVER } }] },
       }),
     ]);
@@ -48,7 +59,13 @@ export async function createGpuRenderer(adapter, frame) {
 }
 
 class GpuRenderer extends Surface {
-  /** @param {HTMLCanvasElement} frame @param {HTMLCanvasElement} canvas @param {GPUCanvasContext} context @param {GPUDevice} device @param {Programs} programs */
+  /**
+   * @param {HTMLCanvasElement} frame
+   * @param {HTMLCanvasElement} canvas
+   * @param {GPUCanvasContext} context
+   * @param {GPUDevice} device
+   * @param {Programs} programs
+   */
   constructor(frame, canvas, context, device, programs) {
     super(canvas);
     this.api = "WebGPU";
@@ -62,7 +79,11 @@ class GpuRenderer extends Surface {
     this.pictures = 0; // that are being drawn
     this.view = this.#make(VIEW_BYTES, GPUBufferUsage.UNIFORM);
     this.corners = this.#make(2 * 6 * QUADS, GPUBufferUsage.INDEX);
-    device.queue.writeBuffer(this.corners, 0, Uint16Array.from({ length: 6 * QUADS }, (_, i) => 4 * Math.trunc(i / 6) + CORNERS[i % 6]));
+    device.queue.writeBuffer(
+      this.corners,
+      0,
+      Uint16Array.from({ length: 6 * QUADS }, (_, i) => 4 * Math.trunc(i / 6) + CORNERS[i % 6]),
+    );
     /** @type {GPUBuffer | null} */
     this.splats = null;
     /** @type {GPUBuffer | null} of the state before, once there was one to move on from */
@@ -95,7 +116,8 @@ class GpuRenderer extends Surface {
 
   /** @type {Surface["update"]} */
   update(rows, spans, overMs = null) {
-    const { device } = this, { STORAGE, COPY_SRC } = GPUBufferUsage;
+    const { device } = this,
+      { STORAGE, COPY_SRC } = GPUBufferUsage;
     if (overMs !== null) this.begin(overMs);
     if (!this.#takes(rows * ROW_BYTES)) return;
     if (rows > this.rows) {
@@ -111,7 +133,8 @@ class GpuRenderer extends Surface {
       encoder.copyBufferToBuffer(this.splats, 0, this.before, 0, this.splats.size);
       device.queue.submit([encoder.finish()]);
     }
-    for (const { first, data } of spans) device.queue.writeBuffer(/** @type {GPUBuffer} */ (this.splats), first * ROW_BYTES, /** @type {any} */ (data));
+    for (const { first, data } of spans)
+      device.queue.writeBuffer(/** @type {GPUBuffer} */ (this.splats), first * ROW_BYTES, /** @type {any} */ (data));
   }
 
   clear() {
@@ -121,7 +144,8 @@ class GpuRenderer extends Surface {
 
   /** @param {Uint32Array} order */
   setOrder(order) {
-    const { sort } = this.programs, { STORAGE } = GPUBufferUsage;
+    const { sort } = this.programs,
+      { STORAGE } = GPUBufferUsage;
     this.count = 0;
     if (!this.#takes(order.length * QUAD_BYTES) || order.length > MAX_GROUPS * THREADS) return this.end?.(undefined);
     if (sort.reserve(order.length) || !this.drawn) {
@@ -136,9 +160,21 @@ class GpuRenderer extends Surface {
 
   /** What the shaders read and write. */
   #bind() {
-    const { device, programs: { project, draw, sort }, splats, drawn } = this, { unsorted: { keys, numbers }, sorted } = sort.buffers;
+    const {
+        device,
+        programs: { project, draw, sort },
+        splats,
+        drawn,
+      } = this,
+      {
+        unsorted: { keys, numbers },
+        sorted,
+      } = sort.buffers;
     const group = (/** @type {GPUPipelineBase} */ pipeline, /** @type {any[]} */ buffers) =>
-      device.createBindGroup({ layout: pipeline.getBindGroupLayout(0), entries: buffers.map((buffer, binding) => ({ binding, resource: { buffer } })) });
+      device.createBindGroup({
+        layout: pipeline.getBindGroupLayout(0),
+        entries: buffers.map((buffer, binding) => ({ binding, resource: { buffer } })),
+      });
     return (this.groups ??= {
       project: group(project, [this.view, splats, this.before ?? splats, drawn?.shown, keys, numbers, drawn?.quads]),
       draw: group(draw, [drawn?.quads, sorted.numbers, sort.sizes]),
@@ -146,20 +182,55 @@ class GpuRenderer extends Surface {
   }
 
   /** @param {View} view @param {number} width @param {number} height */
-  #look({ rotation: r, translation: t, focal, principal, share = 1, range = 1, near = 0, lens = 0, exposure = NEUTRAL }, width, height) {
+  #look(
+    { rotation: r, translation: t, focal, principal, share = 1, range = 1, near = 0, lens = 0, exposure = NEUTRAL },
+    width,
+    height,
+  ) {
     const numbers = new Float32Array(VIEW_BYTES / 4);
-    numbers.set([r[0], r[1], r[2], t[0], r[3], r[4], r[5], t[1], r[6], r[7], r[8], t[2], width, height, ...focal, ...principal, share, range,
-      ...exposure.slice(0, 3), this.moved, ...exposure.slice(3), this.spread, near, 0, lens]);
+    numbers.set([
+      r[0],
+      r[1],
+      r[2],
+      t[0],
+      r[3],
+      r[4],
+      r[5],
+      t[1],
+      r[6],
+      r[7],
+      r[8],
+      t[2],
+      width,
+      height,
+      ...focal,
+      ...principal,
+      share,
+      range,
+      ...exposure.slice(0, 3),
+      this.moved,
+      ...exposure.slice(3),
+      this.spread,
+      near,
+      0,
+      lens,
+    ]);
     new Uint32Array(numbers.buffer)[29] = this.count;
     this.device.queue.writeBuffer(this.view, 0, numbers);
   }
 
   /** @param {View} view */
   draw(view) {
-    const { device, canvas, frame: { width, height }, programs: { project, draw, sort } } = this;
+    const {
+      device,
+      canvas,
+      frame: { width, height },
+      programs: { project, draw, sort },
+    } = this;
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     this.advance();
-    const encoder = device.createCommandEncoder(), [r, g, b] = this.behind(view);
+    const encoder = device.createCommandEncoder(),
+      [r, g, b] = this.behind(view);
     const groups = this.count && this.splats ? this.#bind() : null;
     if (groups) {
       this.#look(view, width, height);
@@ -170,7 +241,16 @@ class GpuRenderer extends Surface {
       sort.encode(pass);
       pass.end();
     }
-    const pass = encoder.beginRenderPass({ colorAttachments: [{ view: this.context.getCurrentTexture().createView(), loadOp: "clear", storeOp: "store", clearValue: { r, g, b, a: 1 } }] });
+    const pass = encoder.beginRenderPass({
+      colorAttachments: [
+        {
+          view: this.context.getCurrentTexture().createView(),
+          loadOp: "clear",
+          storeOp: "store",
+          clearValue: { r, g, b, a: 1 },
+        },
+      ],
+    });
     if (groups) {
       pass.setPipeline(draw);
       pass.setBindGroup(0, groups.draw);

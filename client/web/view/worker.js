@@ -35,13 +35,19 @@ let before = { version: -1, timeMs }; // of the newest picture
 let gapMs = NaN; // between what pictures that follow each other show, in the mean
 /** @type {number | null} version to reach before the next picture */
 let held = null;
-/** Of the newest picture: what the status said. @type {Pick<import("../stream/session.js").Status, "position" | "filmedMs" | "lagSeconds">} */
+/**
+ * Of the newest picture: what the status said.
+ * @type {Pick<import("../stream/session.js").Status, "position" | "filmedMs" | "lagSeconds">}
+ */
 let shown = { position: null, filmedMs: null, lagSeconds: null };
 
 /** @type {(message: FromWorker, transfer?: Transferable[]) => void} */
 const tell = (message, transfer = []) => self.postMessage(message, { transfer });
 
-/** Decode one packet; null where it is refused. @type {(bytes: Uint8Array) => Promise<{ version: number, ms: number, filmedMs: number } | null>} */
+/**
+ * Decode one packet; null where it is refused.
+ * @type {(bytes: Uint8Array) => Promise<{ version: number, ms: number, filmedMs: number } | null>}
+ */
 async function decode(bytes) {
   engine ??= new Engine(await kernel);
   const start = performance.now();
@@ -79,7 +85,10 @@ let questions = [];
 
 /** @param {Extract<ToWorker, { type: "pick" | "depth" }>} question */
 function answer({ type, id, origin, direction }) {
-  const point = type === "pick" ? engine?.pick(origin, direction) : /** @type {[number, number, number]} */ ([0, 0, engine?.depthAlong(origin, direction) ?? 0]);
+  const point =
+    type === "pick"
+      ? engine?.pick(origin, direction)
+      : /** @type {[number, number, number]} */ ([0, 0, engine?.depthAlong(origin, direction) ?? 0]);
   tell({ type: "picked", id, point: point ?? null });
 }
 
@@ -95,7 +104,15 @@ function picture() {
     ({ keyframe } = scene);
     const { cameras, background, fps, levels, viewDependent } = scene.header;
     const { exposures } = scene.metadata ? readMetadata(scene.metadata) : { exposures: undefined };
-    tell({ type: "scene", cameras, background: [background[0], background[1], background[2]], fps, levels, viewDependent, exposures });
+    tell({
+      type: "scene",
+      cameras,
+      background: [background[0], background[1], background[2]],
+      fps,
+      levels,
+      viewDependent,
+      exposures,
+    });
   }
   if (!view) return;
   const result = engine.picture(view);
@@ -105,7 +122,8 @@ function picture() {
   // unevenly: sound is as late as they are.
   const follows = source?.session.status.mode === "replay" && version === before.version + 1;
   if (follows) gapMs = gapAfter(Math.min(timeMs - before.timeMs, MAX_MOVE_MS));
-  const overMs = source && follows ? Math.min(gapMs / source.speed, MAX_MOVE_MS) : version === before.version ? null : 0;
+  const overMs =
+    source && follows ? Math.min(gapMs / source.speed, MAX_MOVE_MS) : version === before.version ? null : 0;
   before = { version, timeMs };
   const transfer = [...(order ? [order.buffer] : []), ...spans.map(({ data }) => data.buffer)];
   const { position = null, filmedMs = null, lagSeconds = null } = source?.session.status ?? {};
@@ -119,7 +137,12 @@ function status() {
   if (!source) return;
   const { status } = source.session; // on the way to a version, what is shown counts
   if (file && status.source === "recording") return void playFile(file, source.token, status.loops);
-  tell({ type: "status", status: { ...status, ...(held === null ? {} : shown), stopping: source.stopping }, refusals, now: performance.now() });
+  tell({
+    type: "status",
+    status: { ...status, ...(held === null ? {} : shown), stopping: source.stopping },
+    refusals,
+    now: performance.now(),
+  });
 }
 
 let holdTimer = 0;
@@ -139,7 +162,10 @@ const sound = (piece) => tell({ type: "heard", piece }, [piece]);
 
 const handlers = { packet: decode, hold, status, sound, moments };
 
-/** Watch a file; what plays it is loaded now. @type {(url: string, token: string | null, loop: boolean) => Promise<void>} */
+/**
+ * Watch a file; what plays it is loaded now.
+ * @type {(url: string, token: string | null, loop: boolean) => Promise<void>}
+ */
 async function playFile(url, token, loop) {
   source?.close();
   source = file = engine = held = null; // a file that is dropped follows another stream
@@ -198,7 +224,8 @@ self.onmessage = ({ data: message }) => {
 
 /** The state as other decoders can be compared with. @type {(id: number) => FromWorker} */
 function inspect(id) {
-  const scene = engine?.scene, expander = engine?.expander;
+  const scene = engine?.scene,
+    expander = engine?.expander;
   if (!engine || !scene || !expander) return { type: "inspected", id, state: null };
   const shown = new Float32Array(engine.activeCount * RECORD);
   for (let i = 0; i < engine.activeCount; i++) {
@@ -206,5 +233,9 @@ function inspect(id) {
     shown.set(expander.numbers.subarray(at, at + RECORD), i * RECORD);
   }
   const digests = scene.levels.map(digest);
-  return { type: "inspected", id, state: { version: versionOf(scene), versions: scene.versions, digests, splats: shown } };
+  return {
+    type: "inspected",
+    id,
+    state: { version: versionOf(scene), versions: scene.versions, digests, splats: shown },
+  };
 }

@@ -55,13 +55,19 @@ def test_types() -> None:
     assert done.returncode == 0, done.stdout
 
 
-def test_page_is_small_and_complete(kernel: bytes) -> None:
-    """What a live viewer loads is under 120 KB compressed, comments and all (test_built.py weighs what is served);
-    nothing comes from elsewhere."""
+def test_modules_are_formatted() -> None:
+    """As prettier writes them: `npx prettier --write client/web` of the packages in tests/client/web."""
+    formatter = HERE / "node_modules" / ".bin" / "prettier"
+    if not formatter.exists() or shutil.which("node") is None:
+        pytest.skip("prettier is not installed: npm install --prefix tests/client/web")
+    command = [str(formatter), "--check", "**/*.js"]
+    done = subprocess.run(command, cwd=WEB, capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_phones_page_is_small_and_nothing_comes_from_elsewhere(kernel: bytes) -> None:
+    """What a viewer loads is weighed as it is served, in test_built.py."""
     files = {path.name: path.read_bytes() for path in WEB.rglob("*.*") if path.suffix not in (".wat", ".py", ".pyc")}
-    live = {"index.html", "base.css", "style.css", "favicon.svg", "decode/kernel.wasm"}
-    live |= _reached("ui/main.js", "view/worker.js")
-    assert sum(len(gzip.compress((WEB / name).read_bytes())) for name in live) < 120_000
     phone = {"capture.html", "base.css", "capture.css", "favicon.svg"} | _reached("ui/capture.js")
     assert sum(len(gzip.compress((WEB / name).read_bytes())) for name in phone) < 20_000
     for name, content in files.items():
