@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 from dataclasses import fields, replace
 
+import torch
+
 from streamlod.core.render.cpu.listing import check_pairs
 from streamlod.core.train.engine.warp.room import Capacity, room_beside, step_room
 from streamlod.core.train.engine.warp.step import TrainingStep
@@ -46,6 +48,7 @@ class StepRooms:
             enough = replace(enough, **{name: max(getattr(enough, name), getattr(has, name)) for name in _LEAST})
         _LOG.debug("memory of training steps: %s", enough)
         self.whole = self.half = None  # what there was goes first: not both fit everywhere
+        torch.cuda.empty_cache()  # of what torch no longer uses, too, which Warp could not have
         whole = step_room(enough, self._device)
         self.whole = TrainingStep(whole)
         if half is not None:
