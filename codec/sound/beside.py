@@ -13,6 +13,7 @@ from typing import Any
 from streamlod.core.errors import InputError
 
 BEGIN_COMMENT = "STREAMLOD_BEGIN_NS"
+RECORDED = "sound.opus"  # of a recorded rig, in the folder of its cameras' videos and on their clock
 CAMERA_COMMENT = "STREAMLOD_CAMERA"
 MAX_CAMERA_NAME = 255  # characters
 MAX_TIME_NS = 2**63 - 1

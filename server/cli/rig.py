@@ -104,6 +104,7 @@ def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings
 
     While it runs, a page of a server shows what all cameras see; without a recording it goes on for so long, too.
     """
+    from streamlod.codec.sound.beside import RECORDED
     from streamlod.server.ingest.cameras.definition import read_uncalibrated
     from streamlod.server.ingest.finding.sheet import contact_sheet
     from streamlod.server.ingest.recording import first_whole, go_on, record, watching
@@ -140,9 +141,13 @@ def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings
         walk = WalkWatch(names, board, say, rig.show, pool)
         found = record(rig, definition, record_to, seconds, tell, walk.look)
         walk.end()
-    for name, one in found.items():
+    for name, one in found.cameras.items():
         slow = f", {one.left_out} left out as this machine was too slow" if one.left_out else ""
         say(f"{record_to / name}.mp4: {one.pictures} pictures{slow}")
+    if found.sound_seconds == 0:
+        say(f"no sound was recorded: nothing came of {definition.sound_name}")
+    elif found.sound_seconds is not None:
+        say(f"{record_to / RECORDED}: {found.sound_seconds:.0f} s of sound of {definition.sound_name}")
     say(f"next: streamlod calibrate {record_to}, with charuco.toml of the printed board beside or --board FILE")
 
 

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import av
 
+from streamlod.codec.mp4.sound import SoundPiece
+from streamlod.codec.sound.beside import RECORDED
 from streamlod.core.camera import Camera
 from streamlod.core.data.video.file import ONE_CLOCK
 from streamlod.core.errors import InputError
@@ -21,6 +23,7 @@ from streamlod.server.ingest.cameras.definition import RigDefinition
 from streamlod.server.ingest.push.intake import Intake
 from streamlod.server.ingest.push.relay import listening
 from streamlod.server.ingest.rig import Rig
+from streamlod.server.ingest.sound.recorder import SoundRecorder
 from streamlod.server.ingest.sync.pace import Pace
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import CameraState, Instant
@@ -39,19 +42,19 @@ _ENCODER = {"preset": "ultrafast", "tune": "zerolatency", "crf": "17", "g": "30"
 
 
 class WatchedRig(Rig):
-    """A rig whose pictures are also written down while there are writers for them, paired or not.
+    """A rig whose pictures are also written down while there are writers for them, paired or not, and its sound.
 
     Attributes:
         newest: picture of each camera that has sent one.
     """
 
     def __init__(self, definition: RigDefinition) -> None:
-        super().__init__(definition, [camera.name for camera in definition.cameras])
+        super().__init__(definition, [camera.name for camera in definition.cameras], self._take_sound)
         self.writers: dict[str, _Writer] = {}
+        self.sound: SoundRecorder | None = None
         self.newest: dict[str, Picture] = {}
         self.paces = {camera.name: Pace() for camera in definition.cameras}
         self._sights: Mapping[str, BoardSight] = {}  # of the board, while its walk is recorded
-        self._heard_later = None if definition.sound is None else definition.sound.camera
 
     def put(self, picture: Picture) -> None:
         """See `Rig.put`."""
@@ -61,13 +64,13 @@ class WatchedRig(Rig):
         if (writer := self.writers.get(picture.camera)) is not None:
             writer.take(picture)
 
-    def hears(self, camera: str) -> bool:
-        """Whether its sound is wanted once the rig is live: its page asks for the microphone when filming begins."""
-        return camera == self._heard_later
-
     def sight(self, camera: str) -> BoardSight | None:
         """See `Rig.sight`."""
         return self._sights.get(camera)
+
+    def _take_sound(self, piece: SoundPiece) -> None:
+        if (sound := self.sound) is not None:
+            sound.take(piece)
 
     def show(self, sights: Mapping[str, BoardSight]) -> None:
         """Have each pushed camera's page tell what the camera sees and needs of the board."""
@@ -139,11 +142,24 @@ def _telling(rig: WatchedRig, tell: Callable[[Mapping[str, str]], None]) -> Abst
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class RecordedCamera:
     """Pictures of one camera that were written, and those left out because this machine was too slow."""
 
     pictures: int
     left_out: int
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What was written.
+
+    Attributes:
+        cameras: by name.
+        sound_seconds: of the rig's sound; None where it names none.
+    """
+
+    cameras: dict[str, RecordedCamera]
+    sound_seconds: float | None
 
 
 def record(
@@ -153,10 +169,11 @@ def record(
     seconds: float,
     missing: Callable[[Mapping[str, str]], None] = lambda _: None,
     look: Callable[[Instant], object] = lambda _: None,
-) -> dict[str, Recorded]:
+) -> Recorded:
     """Record for so long, until the sources end, a file cannot be written or the user interrupts; the rig stops then.
 
-    The files `NAME.mp4` have one clock: a picture's time is when it was taken, from one beginning for all.
+    The files `NAME.mp4` have one clock: a picture's time is when it was taken, from one beginning for all. So has the
+    rig's sound, in `sound.opus`, which is there once something is heard.
 
     Args:
         missing: told every few seconds which cameras do not deliver as they should, and why.
@@ -172,15 +189,20 @@ def record(
     }
     for writer in writers.values():
         writer.start()
-    rig.writers = writers
+    sound = None
+    if definition.sound is not None:
+        sound = SoundRecorder(folder / RECORDED, begin_ns, seconds, definition.microphone)
+    rig.writers, rig.sound = writers, sound
     try:
         go_on(rig, seconds + _LATE_SECONDS, missing, look)
     finally:
-        rig.writers = {}
-        failures = [failure for writer in writers.values() if (failure := writer.end()) is not None]
-    if failures:
-        raise failures[0]
-    return {name: Recorded(writer.count, writer.left_out) for name, writer in writers.items()}
+        rig.writers, rig.sound = {}, None
+        ended = [writer.end() for writer in writers.values()] + ([] if sound is None else [sound.end()])
+    for failure in ended:
+        if failure is not None:
+            raise failure
+    cameras = {name: RecordedCamera(writer.count, writer.left_out) for name, writer in writers.items()}
+    return Recorded(cameras, None if sound is None else sound.seconds)
 
 
 def go_on(

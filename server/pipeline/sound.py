@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from streamlod.codec.sound.beside import sound_beside
+from streamlod.codec.sound.beside import RECORDED, look_at_sound, sound_beside
 from streamlod.codec.sound.opus import SAMPLE_RATE, write_sound
 from streamlod.core.arrays import Float64
 from streamlod.core.calibration.sound.alike import RATE, rises
@@ -42,8 +44,9 @@ def choose_sound(dataset: Dataset, choice: str) -> FilmedSound | None:
     """The sound that `choice` names; None where there shall be, or is, none.
 
     Args:
-        choice: ``auto`` for the first camera that is heard, ``none``, a camera's name, or a file that began to record
-            when the first camera did. A sentence in the log names a microphone that is silent or heard late.
+        choice: ``auto`` for the sound that was recorded with the rig, else the first camera that is heard; ``none``, a
+            camera's name, or a file that began to record when the first camera did, or says when it did. A sentence in
+            the log names a microphone that is silent or heard late.
 
     Raises:
         InputError: no such camera or file, or one without sound that can be used.
@@ -54,21 +57,23 @@ def choose_sound(dataset: Dataset, choice: str) -> FilmedSound | None:
         return None
     seconds = _seconds(dataset)
     if choice == AUTO:
+        recorded = recording.path / RECORDED
+        if recorded.is_file():
+            sound = _apart(recorded, films)
+            if _listened(RECORDED, sound.film, seconds):
+                return sound
         for name, film in films.items():
             if film is not None and (found := _usable(name, film)) is not None and _listened(name, film, seconds):
                 return found
         return None
+    named = films.get(choice)
     if choice in films:
-        named = films[choice]
         if named is None:
             raise InputError("--sound", f"camera {choice} has pictures and no video, so no sound; name a file")
     elif not Path(choice).is_file():
         raise InputError("--sound", f"{choice!r:.80} is neither a camera nor a file; cameras are {', '.join(films)}")
-    else:
-        first = next(iter(films.values()))
-        named = Film(Path(choice), 0 if first is None else first.begin_ns)
-    sound = _required(named, choice if choice in films else None)
-    _listened(choice, named, seconds)
+    sound = _apart(Path(choice), films) if named is None else _required(named, choice)
+    _listened(choice, sound.film, seconds)
     return sound
 
 
@@ -137,6 +142,16 @@ def _fault(name: str, begin: float | None) -> str:
     if begin > _LATE_S:
         return f"the sound of {name} starts {begin:.1f} s after its pictures; until then there is silence"
     return ""
+
+
+def _apart(path: Path, films: Mapping[str, Film | None]) -> FilmedSound:
+    """The sound of a file of its own; one of `RECORDED` says when it began, and at which camera it was heard."""
+    begin_ns, camera = 0, None
+    with suppress(InputError):  # sound of another kind, which says nothing of that
+        found = look_at_sound(path)
+        begin_ns, camera = found.begin_ns, found.camera if found.camera in films else None
+    beside = films[camera] if camera is not None else next(iter(films.values()))
+    return _required(Film(path, (0 if beside is None else beside.begin_ns) - begin_ns), camera)
 
 
 def _required(film: Film, camera: str | None) -> FilmedSound:

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -25,8 +25,9 @@ from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
+from streamlod.codec.sound.beside import RECORDED, look_at_sound
 from streamlod.core.calibration.walk import open_walk
-from streamlod.core.data.video.file import probe_video
+from streamlod.core.data.video.file import probe_video, read_video
 from streamlod.core.errors import InputError
 from streamlod.server.auth.gate import hash_token
 from streamlod.server.cli import rig as rig_command
@@ -38,6 +39,7 @@ from streamlod.server.ingest.cameras.definition import read_definition, read_unc
 from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
 from streamlod.server.service.station import station
 from streamlod.server.settings import Settings, load_settings
+from tests.clicks import heard_at, write_sounding
 from tests.core.data.writers import write_video
 from tests.server.ingest.rig import HEIGHT, WIDTH, burnt, number_of, write_definition
 from tests.small_disk import files_up_to
@@ -318,6 +320,31 @@ def test_what_was_recorded_is_there_where_the_recorder_was_killed(tmp_path: Path
     numbers = [number_of(picture) for picture in footage.pictures() if picture is not None]
     assert FPS < len(numbers) < 250, "of 300"
     assert np.ptp(footage.times - np.array(numbers) / FPS) < 1e-4
+
+
+@pytest.mark.long
+def test_sound_is_recorded_on_the_clock_of_the_pictures(tmp_path: Path) -> None:
+    write_sounding(tmp_path / "film.mp4", 9.0)
+    folder, said = tmp_path / "walk", list[str]()
+    rig = write_definition(tmp_path, ["film.mp4"] * 2, size=(96, 64), sound="cam1")
+    watch(rig, folder, 5.0, Settings(), said.append, overwrite=False)
+    assert any(re.fullmatch(r".*sound\.opus: [45] s of sound of cam1", line) for line in said), said
+    assert look_at_sound(folder / RECORDED).camera == "cam1"
+    with closing(read_video(folder / "cam0.mp4")) as pictures:
+        bright = [(time_ns / 1e9, picture.to_ndarray(format="gray").mean() > 128) for time_ns, picture in pictures]
+    flashes = [time for (time, is_bright), (_, before) in zip(bright[1:], bright, strict=False) if is_bright > before]
+    clicks = heard_at(folder / RECORDED)
+    assert len(flashes) > 2
+    assert all(min(abs(click - flash) for click in clicks) < 0.04 for flash in flashes[:-1]), (flashes, clicks)
+
+
+@pytest.mark.long
+def test_sound_that_does_not_come_is_told(tmp_path: Path) -> None:
+    write_video(tmp_path / "mute.mp4", [burnt(number) for number in range(100)], fps=FPS)
+    rig, said = write_definition(tmp_path, ["mute.mp4"], sound="cam0"), list[str]()
+    watch(rig, tmp_path / "walk", 2.0, Settings(), said.append, overwrite=False)
+    assert "no sound was recorded: nothing came of cam0" in said
+    assert not (tmp_path / "walk" / RECORDED).exists()
 
 
 def test_a_walk_that_cannot_be_written_any_more_ends_at_once(tmp_path: Path) -> None:

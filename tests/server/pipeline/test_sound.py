@@ -1,17 +1,18 @@
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from streamlod.codec.sound.beside import look_at_sound, sound_beside
-from streamlod.codec.sound.opus import SAMPLE_RATE
+from streamlod.codec.sound.beside import RECORDED, look_at_sound, sound_beside
+from streamlod.codec.sound.opus import SAMPLE_RATE, write_sound
 from streamlod.core.calibration.checks.heard import judged
 from streamlod.core.data import Dataset, open_dataset
 from streamlod.core.errors import InputError
 from streamlod.server.pipeline.sound import choose_sound, loudness_rises, sound_faults, write_beside
-from tests.clicks import onsets, write_sounding
+from tests.clicks import clicks, onsets, write_sounding
 from tests.core.data.writers import picture, write_video, write_video_clip
 from tests.opus import read_sound
 
@@ -57,6 +58,23 @@ def test_sound_is_written_as_long_as_the_pictures_and_removed_with_them(dataset:
     assert onsets(samples) == pytest.approx([1.0, 2.0], abs=0.02)
     write_beside(out, None, 2.5)  # other pictures, and silent ones: the earlier sound is not theirs
     assert list(tmp_path.iterdir()) == []
+
+
+def test_sound_that_was_recorded_with_the_rig_is_taken_on_its_clock(dataset: Dataset, tmp_path: Path) -> None:
+    for path in dataset.recording.path.iterdir():
+        shutil.copy(path, tmp_path)
+    write_sound(tmp_path / RECORDED, [clicks(2.0, begin=0.75)], 1, 750_000_000, "cam02")
+    beside = open_dataset(tmp_path)
+    for choice in ("auto", str(tmp_path / RECORDED)):
+        found = choose_sound(beside, choice)
+        assert found is not None
+        assert (found.film.path.name, found.camera) == (RECORDED, "cam02")
+        write_beside(tmp_path / "clip.slod", found, 3.0)
+        samples = np.concatenate(list(read_sound(tmp_path / "clip.slod.opus")))
+        assert onsets(samples) == pytest.approx([1.0, 2.0], abs=0.02)
+    named = choose_sound(beside, "cam01")
+    assert named is not None
+    assert named.film.path.name == "cam01.mp4"
 
 
 def test_flash_and_click_have_one_time(dataset: Dataset, tmp_path: Path) -> None:
