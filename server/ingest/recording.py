@@ -151,7 +151,7 @@ class RecordedCamera:
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """What was written.
+    """A rig as it was written into a folder.
 
     Attributes:
         cameras: by name.

@@ -1,4 +1,4 @@
-"""The sound of a rig as a file beside its cameras' videos, on their clock."""
+"""Recording of a rig's sound into a file beside its cameras' videos, on their clock."""
 
 from __future__ import annotations
 
