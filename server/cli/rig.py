@@ -34,6 +34,7 @@ _WALK = "walk"  # folder beside the rig's file, which the board walk is recorded
 _KEPT = "evenings"  # folder beside it of what is streamed
 _KEPT_SECONDS = 7 * 24 * 3600
 _QUORUM_FROM = 4  # cameras: with so many a stream goes on without one of them
+_RECORD_SECONDS = 60.0  # of a board walk, unless another time is given
 _WAIT_SECONDS = 600.0  # for all cameras of a rig to deliver
 
 
@@ -99,10 +100,15 @@ def find(
     say(f"next: streamlod rig {out} {options}--record {out.parent / _WALK}")
 
 
-def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings, say: Say, *, overwrite: bool) -> None:
+def watch(
+    file: Path, record_to: Path | None, seconds: float | None, settings: Settings, say: Say, *, overwrite: bool
+) -> None:
     """Wait until all cameras of a rig's file deliver, write a contact sheet of one instant, and record if wanted.
 
-    While it runs, a page of a server shows what all cameras see; without a recording it goes on for so long, too.
+    While it runs, a page of a server shows what all cameras see.
+
+    Args:
+        seconds: to record or to show; None records a minute, and shows until the user interrupts.
     """
     from streamlod.codec.sound.beside import RECORDED
     from streamlod.server.ingest.cameras.definition import read_uncalibrated
@@ -132,9 +138,10 @@ def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings
 
         if record_to is None:
             if place is not None:
-                say(f"showing them for {seconds:g} s; Ctrl-C ends it earlier")
+                say(f"showing them{'' if seconds is None else f' for {seconds:g} s'}; Ctrl-C ends it")
                 go_on(rig, seconds, tell)
             return
+        seconds = _RECORD_SECONDS if seconds is None else seconds
         say(f"recording {seconds:g} s into {record_to}; Ctrl-C ends it earlier")
         record_to.mkdir(parents=True, exist_ok=True)
         pool = stack.enter_context(ThreadPoolExecutor(1, "walk"))

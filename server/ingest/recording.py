@@ -124,18 +124,18 @@ def _telling(rig: WatchedRig, tell: Callable[[Mapping[str, str]], None]) -> Abst
     What is said again and again would push a phone's QR code out of the terminal.
     """
     before = dict(rig.paces)
-    told: Mapping[str, str] | None = None
+    told: dict[str, str] | None = None
 
     def watch() -> None:
         nonlocal before, told
         now = dict(rig.paces)
         rates = {name: pace.since(before[name], _JUDGED * _TELL_SECONDS) for name, pace in now.items()}
         slow = {name: rate for name, rate in rates.items() if rate is not None and rate < _SLOWEST * rig.fps}
-        why_slow = _SLOW.format(min(slow.values(), default=0.0), rig.fps)  # one reason, so that it is told once
         before = now
-        trouble = dict.fromkeys(slow, why_slow) | _missing(rig)
-        if trouble != told:
-            tell(trouble)
+        trouble = dict.fromkeys(slow, _SLOW) | _missing(rig)
+        if trouble != told:  # another rate is no news
+            rate = min(slow.values(), default=0.0)
+            tell({name: why.format(rate, rig.fps) if why is _SLOW else why for name, why in trouble.items()})
         told = trouble
 
     return repeating(watch, _TELL_SECONDS, "telling")
@@ -207,12 +207,12 @@ def record(
 
 def go_on(
     rig: WatchedRig,
-    seconds: float,
+    seconds: float | None,
     missing: Callable[[Mapping[str, str]], None] = lambda _: None,
     look: Callable[[Instant], object] = lambda _: None,
 ) -> None:
-    """Film for so long, until the sources end or the user interrupts; the rig stops then. See `record`."""
-    timer = threading.Timer(seconds, rig.stop)
+    """Film so long, or without end where that is None, until the sources end or the user interrupts. See `record`."""
+    timer = threading.Timer(threading.TIMEOUT_MAX if seconds is None else seconds, rig.stop)
     timer.daemon = True
     timer.start()
     try:

@@ -59,8 +59,9 @@ def rig(
         Path | None, typer.Option(metavar="DIR", help="Record the cameras of a rig.json, a video each, to calibrate.")
     ] = None,
     seconds: Annotated[
-        float, typer.Option(min=1, max=7200, help="How long to record, or to show what cameras see.")
-    ] = 60.0,
+        float | None,
+        typer.Option(min=1, max=7200, help="How long to record (60), or to show what cameras see (until Ctrl-C)."),
+    ] = None,
     config: Config = None,
     host: Host = None,
     port: Port = None,

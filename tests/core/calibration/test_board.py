@@ -64,6 +64,17 @@ def test_a_board_with_more_markers_is_refused(picture: UInt8) -> None:
         track_of(footage_of("a", [picture] * 5), Board(4, 3))
 
 
+def test_something_in_the_room_that_looks_like_a_marker_is_not_taken_for_another_board(picture: UInt8) -> None:
+    """Bricks, toys and book spines do, in every picture."""
+    marker = cv2.aruco.generateImageMarker(BOARD.opencv().getDictionary(), 37, 60)
+    room = picture.copy()
+    room[:100, 520:620] = 230
+    room[20:80, 540:600] = marker[..., None]
+    assert 37 in Detector(BOARD)(room).markers
+    track = track_of(footage_of("a", [room] * 5), BOARD)
+    assert (track.seen == Detector(BOARD)(picture).count).all()
+
+
 def test_a_camera_that_hardly_sees_the_board_is_not_said_to_see_another_one(picture: UInt8) -> None:
     empty = np.full_like(picture, 110)
     with pytest.raises(InputError, match="camera a: hardly sees the board; walk longer, facing it, nearer to it"):

@@ -460,7 +460,17 @@ def test_all_cameras_are_shown_while_a_rig_is_watched(tmp_path: Path) -> None:
         wait(moves, 60)
     work.join(60)
     assert not work.is_alive()
-    assert "showing them for 12 s; Ctrl-C ends it earlier" in said
+    assert "showing them for 12 s; Ctrl-C ends it" in said
+
+
+def test_a_rig_is_shown_for_longer_than_a_walk_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To aim four phones in peace takes more than a minute: here, until the file ends."""
+    monkeypatch.setattr(rig_command, "_RECORD_SECONDS", 0.1)
+    write_video(tmp_path / "a.mp4", [burnt(number) for number in range(3 * FPS)], fps=FPS)
+    said, begin = list[str](), time.monotonic()
+    watch(write_definition(tmp_path, ["a.mp4"], fps=FPS), None, None, Settings(port=0), said.append, overwrite=False)
+    assert said[-1] == "showing them; Ctrl-C ends it"
+    assert time.monotonic() - begin > 2
 
 
 def test_a_rig_without_phones_needs_no_server(tmp_path: Path) -> None:
