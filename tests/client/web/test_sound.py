@@ -70,7 +70,7 @@ def in_step(page: Any, begin: int = 0) -> None:
     limit = time.monotonic() + WAIT["timeout"] / 1000
     while not page.evaluate(IN_STEP):
         assert time.monotonic() < limit, page.evaluate("[streamlod.state, window.offsets]")
-        if page.evaluate("streamlod.state.phase") == "ended":
+        if page.evaluate("streamlod.state.phase") in ("ended", "paused"):  # who seeks after the end stands there
             page.evaluate("(begin) => { streamlod.seek(begin); streamlod.play(); }", begin)
         page.wait_for_timeout(100)
 
