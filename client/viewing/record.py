@@ -94,6 +94,7 @@ async def record_stream(
     if take.count == 0:
         raise InputError(url, "the stream ended before it had a picture")
     if reception.has_sound and is_film(out):
+        tell("adding its sound")  # after Ctrl-C, too, where nobody should think that it hangs and press it again
         await asyncio.to_thread(fetch_and_add, live_address(url), options.token, out, take.filmed_ns, take.fps)
     if cut is not None:
         raise cut

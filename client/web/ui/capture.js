@@ -124,6 +124,10 @@ function listen(media, name) {
     ? ""
     : "No sound is sent: there is no microphone, or the page may not use it. Allow it in the page's settings, beside its address, then press Stop and Film.";
   if (silence) return;
+  media.getAudioTracks()[0].onended = () => {
+    silence = "No sound is sent any more: the microphone was taken away. Press Stop, then Film.";
+    tell();
+  };
   microphone = new Microphone(
     media,
     options.get("sound") === "pcm",

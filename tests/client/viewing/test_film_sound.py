@@ -107,8 +107,10 @@ def recorded(tmp_path: Path, with_sound: bool) -> Path:
 
 
 @pytest.mark.long
-def test_a_recorded_stream_has_its_sound(tmp_path: Path) -> None:
+def test_a_recorded_stream_has_its_sound(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """It is said that it is added, which takes a while of a long film."""
     out = recorded(tmp_path, with_sound=True)
+    assert "adding its sound" in capfd.readouterr().err
     assert heard(out, 2.4) == pytest.approx([0.0, 1.0, 2.0], abs=0.04)
 
 

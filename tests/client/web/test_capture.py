@@ -131,6 +131,26 @@ def test_a_phone_without_a_microphone_films_on(phone: Any) -> None:
         assert len(found.wait(5)) == 5
 
 
+def test_a_microphone_that_is_taken_away_is_told_while_the_phone_films_on(phone: Any) -> None:
+    with stage(Settings(), rig((WIDTH, HEIGHT), 1, sound="phone1")) as found, opened(phone, found.page()) as page:
+        says(page, "Ready to film")
+        page.click("#film")
+        says(page, "Filming as phone1")
+        page.wait_for_function("document.querySelector('#figures')?.textContent.includes('Opus')")
+        page.evaluate(
+            "document.getElementById('picture').srcObject.getAudioTracks()[0].dispatchEvent(new Event('ended'))"
+        )
+        page.get_by_text("No sound is sent any more: the microphone was taken away.").wait_for()
+        count = len(found.got)
+        found.wait(count + 5)
+        page.click("#film")
+        says(page, "Ready to film")
+        page.click("#film")
+        says(page, "Filming as phone1")
+        page.wait_for_function("document.querySelector('#figures')?.textContent.includes('Opus')")
+        assert page.get_by_text("taken away").count() == 0
+
+
 def test_the_page_says_how_it_films_and_what_it_cannot_hold(phone: Any) -> None:
     """Size, rate, clock; the fake camera lets exposure and focus be held, but no white balance."""
     with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(phone, found.page()) as page:
