@@ -190,6 +190,7 @@ def record(
     for writer in writers.values():
         writer.start()
     sound = None
+    (folder / RECORDED).unlink(missing_ok=True)  # of an earlier recording, whose sound is not that of these pictures
     if definition.sound is not None:
         sound = SoundRecorder(folder / RECORDED, begin_ns, seconds, definition.microphone)
     rig.writers, rig.sound = writers, sound

@@ -57,11 +57,9 @@ def choose_sound(dataset: Dataset, choice: str) -> FilmedSound | None:
         return None
     seconds = _seconds(dataset)
     if choice == AUTO:
-        recorded = recording.path / RECORDED
-        if recorded.is_file():
-            sound = _apart(recorded, films)
-            if _listened(RECORDED, sound.film, seconds):
-                return sound
+        recorded = _recorded(recording.path / RECORDED, films)
+        if recorded is not None and _listened(RECORDED, recorded.film, seconds):
+            return recorded
         for name, film in films.items():
             if film is not None and (found := _usable(name, film)) is not None and _listened(name, film, seconds):
                 return found
@@ -142,6 +140,15 @@ def _fault(name: str, begin: float | None) -> str:
     if begin > _LATE_S:
         return f"the sound of {name} starts {begin:.1f} s after its pictures; until then there is silence"
     return ""
+
+
+def _recorded(path: Path, films: Mapping[str, Film | None]) -> FilmedSound | None:
+    """As `_apart`; None where there is no such file, or it cannot be used, which is logged."""
+    try:
+        return _apart(path, films) if path.is_file() else None
+    except InputError as error:
+        _LOG.warning("%s; it is left out", error)
+        return None
 
 
 def _apart(path: Path, films: Mapping[str, Film | None]) -> FilmedSound:

@@ -56,7 +56,7 @@ def rig(
         str | None, typer.Option(metavar="USER:PASSWORD", help="Of network cameras that are looked for (ONVIF).")
     ] = None,
     record: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Record the cameras of a rig.json, a video each, to calibrate.")
+        Path | None, typer.Option(metavar="DIR", help="Record the cameras of a rig.json, a video each, and its sound.")
     ] = None,
     seconds: Annotated[
         float | None,

@@ -43,7 +43,6 @@ class SoundRecorder:
                 return
             try:
                 if self._writer is None:
-                    self._path.unlink(missing_ok=True)
                     self._writer = PacketWriter(self._path, piece.settings, packets[0].time, self._camera)
                 for packet in packets:
                     self._writer.append(packet)

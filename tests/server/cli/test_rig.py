@@ -342,7 +342,9 @@ def test_sound_is_recorded_on_the_clock_of_the_pictures(tmp_path: Path) -> None:
 def test_sound_that_does_not_come_is_told(tmp_path: Path) -> None:
     write_video(tmp_path / "mute.mp4", [burnt(number) for number in range(100)], fps=FPS)
     rig, said = write_definition(tmp_path, ["mute.mp4"], sound="cam0"), list[str]()
-    watch(rig, tmp_path / "walk", 2.0, Settings(), said.append, overwrite=False)
+    (tmp_path / "walk").mkdir()
+    (tmp_path / "walk" / RECORDED).write_bytes(b"of an earlier walk")
+    watch(rig, tmp_path / "walk", 2.0, Settings(), said.append, overwrite=True)
     assert "no sound was recorded: nothing came of cam0" in said
     assert not (tmp_path / "walk" / RECORDED).exists()
 

@@ -72,9 +72,11 @@ def test_sound_that_was_recorded_with_the_rig_is_taken_on_its_clock(dataset: Dat
         write_beside(tmp_path / "clip.slod", found, 3.0)
         samples = np.concatenate(list(read_sound(tmp_path / "clip.slod.opus")))
         assert onsets(samples) == pytest.approx([1.0, 2.0], abs=0.02)
-    named = choose_sound(beside, "cam01")
-    assert named is not None
-    assert named.film.path.name == "cam01.mp4"
+    (tmp_path / RECORDED).write_bytes(b"OggS, cut off")
+    for choice in ("cam01", "auto"):  # what is damaged is passed over
+        named = choose_sound(beside, choice)
+        assert named is not None
+        assert named.film.path.name == "cam01.mp4"
 
 
 def test_flash_and_click_have_one_time(dataset: Dataset, tmp_path: Path) -> None:

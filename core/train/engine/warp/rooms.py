@@ -48,7 +48,7 @@ class StepRooms:
             enough = replace(enough, **{name: max(getattr(enough, name), getattr(has, name)) for name in _LEAST})
         _LOG.debug("memory of training steps: %s", enough)
         self.whole = self.half = None  # what there was goes first: not both fit everywhere
-        torch.cuda.empty_cache()  # of what torch no longer uses, too, which Warp could not have
+        torch.cuda.empty_cache()  # torch keeps memory that it no longer uses, which Warp then cannot have
         whole = step_room(enough, self._device)
         self.whole = TrainingStep(whole)
         if half is not None:
