@@ -143,7 +143,7 @@ def _fault(name: str, begin: float | None) -> str:
 
 
 def _recorded(path: Path, films: Mapping[str, Film | None]) -> FilmedSound | None:
-    """As `_apart`; None where there is no such file, or it cannot be used, which is logged."""
+    """The sound of a file that may be there, as of `_apart`; None without, or if it cannot be used, which is logged."""
     try:
         return _apart(path, films) if path.is_file() else None
     except InputError as error:
