@@ -20,7 +20,7 @@ def test_the_document_lists_them_with_what_to_do() -> None:
 
 def test_the_page_gives_up_after_the_same_ones() -> None:
     source = (ROOT / "client" / "web" / "stream" / "session.js").read_text()
-    final = re.search(r"^const FINAL = \{(.*)\};$", source, re.MULTILINE)
+    final = re.search(r"^const FINAL = \{([^}]*)\};$", source, re.MULTILINE)
     assert final is not None
     assert {int(code) for code in re.findall(r"(\d{4}):", final[1])} == REFUSALS | {CloseCode.DONE}
     connection = (ROOT / "client" / "web" / "stream" / "connection.js").read_text()
