@@ -62,7 +62,7 @@ def track_of(footage: WalkFootage, board: Board, on_picture: Callable[[], object
         rows.append(row)
         corners.append(sighting.corners)
         ids, counts = np.unique(sighting.markers, return_counts=True)
-        doubled += bool((counts > 1).any())
+        doubled += (counts > 1).sum() > 1  # one alone is something in the room
         foreign.update(int(marker) for marker in ids if marker >= board.marker_count)
         on_picture()
     _check_one_board(footage.camera, board, len(rows), doubled, foreign)

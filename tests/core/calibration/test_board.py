@@ -75,6 +75,18 @@ def test_something_in_the_room_that_looks_like_a_marker_is_not_taken_for_another
     assert (track.seen == Detector(BOARD)(picture).count).all()
 
 
+@pytest.mark.parametrize("marker", [3, 16])
+def test_something_in_the_room_that_is_read_as_a_marker_of_the_board_costs_no_corners(
+    picture: UInt8, marker: int
+) -> None:
+    room = picture.copy()
+    room[:100, 520:620] = 230
+    room[20:80, 540:600] = cv2.aruco.generateImageMarker(BOARD.opencv().getDictionary(), marker, 60)[..., None]
+    assert (np.array(Detector(BOARD)(room).markers) == marker).sum() == 2
+    track = track_of(footage_of("a", [room] * 5), BOARD)
+    np.testing.assert_allclose(track.corners[0], Detector(BOARD)(picture).corners, atol=0.05)
+
+
 def test_a_camera_that_hardly_sees_the_board_is_not_said_to_see_another_one(picture: UInt8) -> None:
     empty = np.full_like(picture, 110)
     with pytest.raises(InputError, match="camera a: hardly sees the board; walk longer, facing it, nearer to it"):
