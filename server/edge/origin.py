@@ -10,10 +10,10 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 from urllib.parse import quote, urlsplit
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from streamlod.codec.sound.beside import MAX_CAMERA_NAME, MAX_TIME_NS
 from streamlod.core.errors import InputError
@@ -79,7 +79,7 @@ class _Server(BaseModel):
     edges: list[str] = Field(default=[], max_length=1000)
 
 
-_PAGE, _SERVER = TypeAdapter(_Page), TypeAdapter(_Server)
+_Answer = TypeVar("_Answer", bound=BaseModel)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,11 +120,7 @@ class Origin:
         found: list[OriginStream | UnknownStream] = []
         cursor = ""
         for _ in range(_MAX_PAGES):
-            body = await self._read(f"/v1/streams?limit=200{cursor}")
-            try:
-                page = _PAGE.validate_python(json.loads(body))
-            except (ValueError, RecursionError, ValidationError) as error:
-                raise OSError(f"its list of streams cannot be used ({str(error)[:200]})") from error
+            page = await self._read(f"/v1/streams?limit=200{cursor}", _Page)
             found += page.items
             if page.next_cursor is None:
                 return found
@@ -137,10 +133,7 @@ class Origin:
         Raises:
             OSError: it does not answer, refuses, or answers with something else.
         """
-        try:
-            found = _SERVER.validate_python(json.loads(await self._read("/v1/server")))
-        except (ValueError, RecursionError, ValidationError) as error:
-            raise OSError(f"what it says about itself cannot be used ({str(error)[:200]})") from error
+        found = await self._read("/v1/server", _Server)
         return tuple(edge for edge in found.edges if _ADDRESS.fullmatch(edge))
 
     @asynccontextmanager
@@ -164,8 +157,8 @@ class Origin:
         except (httpx.HTTPError, httpx.InvalidURL) as error:
             raise OSError(str(error) or type(error).__name__) from error
 
-    async def _read(self, path: str) -> bytes:
-        """The body of a short answer."""
+    async def _read(self, path: str, kind: type[_Answer]) -> _Answer:
+        """A short answer, checked."""
         body = bytearray()
         async with self.open(path, {"Accept": "application/json"}) as answer:
             if answer.status_code == 401:
@@ -176,7 +169,10 @@ class Origin:
                 body += chunk
                 if len(body) > _MAX_ANSWER_BYTES:
                     raise OSError("its answer is too long")
-        return bytes(body)
+        try:
+            return kind.model_validate(json.loads(body))
+        except (ValueError, RecursionError) as error:  # no JSON, or other fields
+            raise OSError(f"its answer cannot be used ({str(error)[:200]})") from error
 
 
 @cache

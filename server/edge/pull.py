@@ -8,7 +8,7 @@ import json
 import logging
 import random
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from websockets.asyncio.client import ClientConnection, connect
@@ -20,7 +20,8 @@ from streamlod.core.close_codes import REFUSALS, CloseCode
 from streamlod.core.errors import SessionError
 from streamlod.server.edge.ending import end
 from streamlod.server.edge.origin import REFUSED_SECONDS, Origin, OriginStream
-from streamlod.server.edge.supply import PacketTaker, Supply
+from streamlod.server.edge.origin_messages import OriginMessages
+from streamlod.server.edge.supply import Supply
 from streamlod.server.protocol.messages import LIVE, PROTOCOL_VERSION, SUBPROTOCOL, read_object
 from streamlod.server.protocol.packets import Position
 from streamlod.server.settings import Settings
@@ -36,7 +37,6 @@ _ACK_SECONDS = 0.5
 _PRESENT_SECONDS = 0.1  # between two views
 
 
-@dataclass(frozen=True, slots=True)
 class OriginSource:
     """All streams of an origin, or some of them.
 
@@ -46,102 +46,95 @@ class OriginSource:
         settings: of this server.
     """
 
-    origin: Origin
-    chosen: tuple[str, ...]
-    settings: Settings
-    _unknown: set[str] = field(default_factory=set, init=False)  # ids of streams last told in unknown words
-    _known: dict[str, OriginStream] = field(default_factory=dict, init=False)  # as last told in known words
+    name = "the origin"
 
-    @property
-    def name(self) -> str:
-        """See `supply.StreamSource`."""
-        return "the origin"
+    def __init__(self, origin: Origin, chosen: tuple[str, ...], settings: Settings) -> None:
+        self._origin, self._chosen, self._settings = origin, chosen, settings
+        self._unknown = set[str]()  # ids of streams last told in unknown words
+        self._known: dict[str, OriginStream] = {}  # as last told in known words
 
     async def streams(self) -> list[OriginStream]:
         """See `supply.StreamSource`."""
         try:
-            told = await self.origin.streams()
+            told = await self._origin.streams()
         except OSError as error:
             kind = PermissionError if isinstance(error, PermissionError) else OSError
-            raise kind(f"{error or 'no answer'} ({self.origin.url})") from error
-        found = [each for each in told if not self.chosen or each.id in self.chosen]
+            raise kind(f"{error or 'no answer'} ({self._origin.url})") from error
+        found = [each for each in told if not self._chosen or each.id in self._chosen]
         unknown = {each.id for each in found if not isinstance(each, OriginStream)}
         if new := unknown - self._unknown:
             _LOG.warning(
                 "%s has streams of a kind that this version does not know: %s", self.name, ", ".join(sorted(new))
             )
-        self._unknown.clear()
-        self._unknown.update(unknown)
         # one that is served stays, whatever its new state is called
         kept = [each if isinstance(each, OriginStream) else self._known.get(each.id) for each in found]
-        streams = [each for each in kept if each is not None]
-        self._known.clear()
-        self._known.update((each.id, each) for each in streams)
-        return streams
+        self._unknown, self._known = unknown, {each.id: each for each in kept if each is not None}
+        return list(self._known.values())
 
     async def edges(self) -> tuple[str, ...]:
         """See `supply.StreamSource`."""
-        return await self.origin.edges()
+        return await self._origin.edges()
 
     def supply(self, stream: OriginStream) -> Supply:
         """See `supply.StreamSource`."""
-        settings = self.settings
-        return _Websocket(self.origin, stream.id, settings.limits.packet_bytes, Bus(settings.retention.memory_bytes))
+        settings = self._settings
+        return _Websocket(self._origin, stream.id, settings.limits.packet_bytes, Bus(settings.retention.memory_bytes))
 
 
 @dataclass(frozen=True, slots=True)
 class _Websocket:
+    """A stream's live websocket at the origin; see `supply.Supply`."""
+
     origin: Origin
     stream: str
     packet_bytes: int
     bus: Bus
-    origin_name: str = "the origin"
+    origin_name: str = OriginSource.name
 
-    async def pull(self, taker: PacketTaker) -> None:
-        await pull(self.origin, self.stream, self.packet_bytes, taker)
-
-
-async def pull(origin: Origin, stream: str, packet_bytes: int, taker: PacketTaker) -> None:
-    """Pull a stream until it is deleted there (then this returns) or the taker raises."""
-    url, failures = origin.live_url(stream), 0
-    while True:
-        begun, refused, fault = time.monotonic(), False, ""
-        try:
-            async with connect(
-                url,
-                subprotocols=[Subprotocol(SUBPROTOCOL)],
-                additional_headers=origin.headers,
-                compression=None,
-                max_size=packet_bytes,
-                open_timeout=_OPEN_SECONDS,
-                close_timeout=_CLOSE_SECONDS,
-                ping_interval=_PING_SECONDS,
-                ping_timeout=_PONG_SECONDS,
-            ) as socket:
-                await _session(socket, taker)
-        except ConnectionClosed as error:
-            code, reason = (error.rcvd.code, error.rcvd.reason) if error.rcvd else (0, "")
-            if code == CloseCode.DONE:
-                return
-            refused, reason = code in REFUSALS, reason or "the connection broke"
-        except SessionError as error:
-            refused, reason = error.close_code == CloseCode.BAD_VERSION, error.detail
-        except (OSError, WebSocketException) as error:
-            reason, fault = "it does not answer", f"{error} at {origin.url}"  # viewers need no addresses
-        taker.on_break(reason)
-        failures = 0 if time.monotonic() - begun > _STEADY_SECONDS else failures + 1
-        delay = REFUSED_SECONDS if refused else min(_MAX_DELAY, _MIN_DELAY * 2.0 ** min(failures, 10))
-        delay *= random.uniform(0.5, 1.0)
-        _LOG.warning("stream %s: the origin is lost (%s); connecting again in %.1f s", stream, fault or reason, delay)
-        await asyncio.sleep(delay)
+    async def pull(self, taker: OriginMessages) -> None:
+        """See `supply.Supply`."""
+        url, failures = self.origin.live_url(self.stream), 0
+        while True:
+            begun, refused, fault = time.monotonic(), False, ""
+            try:
+                async with connect(
+                    url,
+                    subprotocols=[Subprotocol(SUBPROTOCOL)],
+                    additional_headers=self.origin.headers,
+                    compression=None,
+                    max_size=self.packet_bytes,
+                    open_timeout=_OPEN_SECONDS,
+                    close_timeout=_CLOSE_SECONDS,
+                    ping_interval=_PING_SECONDS,
+                    ping_timeout=_PONG_SECONDS,
+                ) as socket:
+                    await _session(socket, taker)
+            except ConnectionClosed as error:
+                code, reason = (error.rcvd.code, error.rcvd.reason) if error.rcvd else (0, "")
+                if code == CloseCode.DONE:
+                    return
+                refused, reason = code in REFUSALS, reason or "the connection broke"
+            except SessionError as error:
+                refused, reason = error.close_code == CloseCode.BAD_VERSION, error.detail
+            except (OSError, WebSocketException) as error:
+                reason, fault = "it does not answer", f"{error} at {self.origin.url}"  # viewers need no addresses
+            taker.on_break(reason)
+            failures = 0 if time.monotonic() - begun > _STEADY_SECONDS else failures + 1
+            delay = REFUSED_SECONDS if refused else min(_MAX_DELAY, _MIN_DELAY * 2.0 ** min(failures, 10))
+            delay *= random.uniform(0.5, 1.0)
+            lost = f"the origin is lost ({fault or reason}); connecting again in {delay:.1f} s"
+            _LOG.warning("stream %s: %s", self.stream, lost)
+            await asyncio.sleep(delay)
 
 
-async def _session(socket: ClientConnection, taker: PacketTaker) -> None:
+async def _session(socket: ClientConnection, taker: OriginMessages) -> None:
     """Pull over one connection until it closes."""
     held, sent_ns = taker.held, time.time_ns()
-    hello = {"type": "hello", "versions": [PROTOCOL_VERSION], "client": "streamlod-edge/1", "relay": True}
-    hello["sound"] = True
-    await socket.send(json.dumps(hello | {"start": LIVE if held is None else held.to_json()}))
+    hello = {
+        "type": "hello", "versions": [PROTOCOL_VERSION], "client": "streamlod-edge/1", "relay": True, "sound": True,
+        "start": LIVE if held is None else held.to_json(),
+    }  # fmt: skip
+    await socket.send(json.dumps(hello))
     welcome = await _welcome(socket)
     presenting: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
     taker.on_welcome(welcome, sent_ns, presenting.put_nowait)
@@ -164,15 +157,13 @@ async def _present(socket: ClientConnection, messages: asyncio.Queue[dict[str, A
             await asyncio.sleep(_PRESENT_SECONDS)
 
 
-async def _listen(socket: ClientConnection, taker: PacketTaker, acks: _Acknowledgements) -> None:
+async def _listen(socket: ClientConnection, taker: OriginMessages, acks: _Acknowledgements) -> None:
     """Hand on what the origin sends, until the connection closes."""
     while True:
         message = None
-        try:
+        with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_ACK_SECONDS):
                 message = await socket.recv()
-        except TimeoutError:
-            pass
         if isinstance(message, bytes) and is_piece(message):
             taker.on_sound(message)
         elif isinstance(message, bytes):

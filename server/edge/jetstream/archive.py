@@ -203,9 +203,7 @@ class Archive:
         selection = Selection(self.stream, self.subject)
         async with aclosing(read(self._connection, selection, first, end)) as messages:
             async for message in messages:
-                found = id_of(message)
-                data = None if found is None else assembler.push(found, message.data)
-                if found is not None and data is not None:
+                if (found := id_of(message)) and (data := assembler.push(found, message.data)) is not None:
                     packets.append(stream_packet(-1, found.position.epoch, data))
         return packets
 

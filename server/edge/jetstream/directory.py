@@ -1,22 +1,17 @@
-"""Which streams there are, and who publishes them: one description a stream, told again every second.
-
-The description of a stream is the newest message of its subject. Its publisher replaces it only if nobody else has
-since (JetStream's expected last sequence), so of two servers that train streams of one id, one publishes.
-"""
+"""Which streams there are: one description a stream, the newest message of its subject, told again every second."""
 
 from __future__ import annotations
 
 import asyncio
 import json
 import logging
-import secrets
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from nats.errors import Error
-from nats.js.api import DiscardPolicy, RawStreamMsg, StorageType, StreamConfig
-from nats.js.errors import APIError, BadRequestError, NotFoundError
+from nats.js.api import DiscardPolicy, StorageType, StreamConfig
+from nats.js.errors import BadRequestError
 
 from streamlod.server.edge.jetstream.connection import NatsConnection
 from streamlod.server.edge.jetstream.messages import Names
@@ -28,12 +23,9 @@ from streamlod.server.settings import Settings
 _LOG = logging.getLogger(__name__)
 TELL_SECONDS = 1.0
 SILENT_SECONDS = 5.0  # after which a publisher is taken for lost
-_PUBLISH_SECONDS = 1.0
 _RETRY_SECONDS = 0.25
-_WRONG_LAST = 10071  # JetStream's error code for "wrong last sequence"
-_OTHER_CONFIG = 10058  # and for "stream name already in use with a different configuration"
+_OTHER_CONFIG = 10058  # JetStream's error code for "stream name already in use with a different configuration"
 MAX_REFUSED = 1000  # streams whose fault is kept in mind, so that the log has it once
-_NOBODY = ""
 _CHANGES = {"starting", "live", "degraded"}  # states in which packets are to be expected
 
 
@@ -101,7 +93,9 @@ class Directory:
     def find(self, stream: str) -> Told | None:
         """The description of a stream; degraded where its publisher is silent."""
         told = self._told.get(stream)
-        if told is None or told.description.state not in _CHANGES or not self._is_silent(told):
+        if told is None or told.description.state not in _CHANGES:
+            return told
+        if time.monotonic() - told.told_at <= SILENT_SECONDS:
             return told
         detail = f"the server that publishes it has said nothing for {SILENT_SECONDS:g} s"
         return replace(told, description=told.description.model_copy(update={"state": "degraded", "detail": detail}))
@@ -163,80 +157,6 @@ class Directory:
         if len(self._refused) > MAX_REFUSED:
             del self._refused[next(iter(self._refused))]
 
-    def _is_silent(self, told: Told) -> bool:
-        return time.monotonic() - told.told_at > SILENT_SECONDS
-
-
-@dataclass(slots=True)
-class Claim:
-    """This server's right to publish a stream.
-
-    Attributes:
-        stream: its id.
-        holder: names this server and this run of it; empty in a description that nobody tells any more.
-    """
-
-    connection: NatsConnection
-    names: Names
-    stream: str
-    holder: str = field(default_factory=lambda: secrets.token_hex(8))
-    _sequence: int = 0  # of the description that is there
-    _other: tuple[int, float] = (0, 0.0)  # sequence of another server's description, and since when that is known
-
-    async def tell(self, description: dict[str, Any], *, leaving: bool = False) -> bool:
-        """Replace the description; returns False where another server publishes the stream.
-
-        Raises:
-            OSError, nats.errors.Error: JetStream does not answer.
-        """
-        about = {"protocol": PROTOCOL_VERSION, "server_time_ns": time.time_ns()}
-        told = description | about | {"holder": _NOBODY if leaving else self.holder}
-        for _ in range(2):
-            try:
-                await self._put(json.dumps(told).encode())
-            except APIError as error:
-                if error.err_code != _WRONG_LAST:
-                    raise
-                if not await self._may_replace(description["incarnation"]):
-                    return False
-            else:
-                return True
-        return False
-
-    async def remove(self) -> None:
-        """The stream was deleted."""
-        await self._put(b"")
-
-    async def _put(self, body: bytes) -> None:
-        ack = await self.connection.jetstream.publish(
-            self.names.description(self.stream),
-            body,
-            timeout=_PUBLISH_SECONDS,
-            stream=self.names.directory,
-            headers={"Nats-Expected-Last-Subject-Sequence": str(self._sequence)},
-        )
-        self._sequence = ack.seq
-
-    async def _may_replace(self, incarnation: str) -> bool:
-        """Whether what is there is our own, given up, or of a server that has been silent; takes note of it."""
-        found = await self._newest()
-        sequence = 0 if found is None or found.seq is None else found.seq
-        if sequence != self._other[0]:
-            self._other = sequence, time.monotonic()
-        holder, held = _holder_of(found)
-        silent = time.monotonic() - self._other[1] > SILENT_SECONDS
-        if holder in {_NOBODY, self.holder} or held == incarnation or silent:
-            self._sequence = sequence
-            return True
-        return False
-
-    async def _newest(self) -> RawStreamMsg | None:
-        try:
-            subject = self.names.description(self.stream)
-            return await self.connection.jetstream.get_last_msg(self.names.directory, subject)
-        except NotFoundError:
-            return None
-
 
 def _checked(values: Any) -> OriginStream:
     """A description.
@@ -250,12 +170,3 @@ def _checked(values: Any) -> OriginStream:
     found = OriginStream.model_validate(values)
     is_live = found.sound is not None and found.sound.live
     return found if is_live else found.model_copy(update={"sound": None})  # files do not go through NATS
-
-
-def _holder_of(found: RawStreamMsg | None) -> tuple[object, object]:
-    """Holder and incarnation of a description."""
-    try:
-        values = json.loads((found.data if found else None) or b"{}")
-        return values.get("holder", _NOBODY), values.get("incarnation")
-    except (ValueError, AttributeError, RecursionError):
-        return _NOBODY, None

@@ -14,14 +14,9 @@ from nats.js.api import DiscardPolicy, RetentionPolicy, StorageType, StreamConfi
 from nats.js.errors import BadRequestError, NotFoundError
 
 from streamlod.server.edge.ending import end
+from streamlod.server.edge.jetstream.claim import Claim
 from streamlod.server.edge.jetstream.connection import NatsConnection
-from streamlod.server.edge.jetstream.directory import (
-    SILENT_SECONDS,
-    TELL_SECONDS,
-    Claim,
-    create_stream,
-    directory_config,
-)
+from streamlod.server.edge.jetstream.directory import SILENT_SECONDS, TELL_SECONDS, create_stream, directory_config
 from streamlod.server.edge.jetstream.messages import MSG_ID, Names, pieces_of
 from streamlod.server.protocol.packets import StreamPacket
 from streamlod.server.settings import Settings

@@ -15,7 +15,7 @@ from streamlod.server.edge.jetstream.directory import Directory
 from streamlod.server.edge.jetstream.messages import Assembler, Names
 from streamlod.server.edge.jetstream.reading import Selection, follow, read
 from streamlod.server.edge.origin import OriginStream
-from streamlod.server.edge.supply import PacketTaker
+from streamlod.server.edge.origin_messages import OriginMessages
 from streamlod.server.protocol.messages import event
 from streamlod.server.protocol.packets import Place, stream_packet
 from streamlod.server.settings import Settings
@@ -49,7 +49,7 @@ class ArchivedStream:
         self.bus = ArchiveBus(settings.retention.memory_bytes, self._archive)
         self._lost = False
 
-    async def pull(self, taker: PacketTaker) -> None:
+    async def pull(self, taker: OriginMessages) -> None:
         """See `Supply`."""
         self._greet(taker)
         while True:
@@ -70,7 +70,7 @@ class ArchivedStream:
         finally:
             await end(*tasks)
 
-    def _greet(self, taker: PacketTaker) -> None:
+    def _greet(self, taker: OriginMessages) -> None:
         told, now_ns = self._directory.find(self._stream.id), time.time_ns()
         state = self._stream if told is None else told.description
         ahead_ns = 0 if told is None else told.clock_ahead_ns
@@ -84,7 +84,7 @@ class ArchivedStream:
             now_ns,
         )
 
-    async def _begin_sound(self, taker: PacketTaker) -> None:
+    async def _begin_sound(self, taker: OriginMessages) -> None:
         """Hand on the sound that was stored shortly before the newest keyframe.
 
         Raises:
@@ -96,7 +96,7 @@ class ArchivedStream:
             async for message in messages:
                 taker.on_sound(message.data)
 
-    async def _follow(self, taker: PacketTaker) -> None:
+    async def _follow(self, taker: OriginMessages) -> None:
         """Hand on every packet from the newest keyframe on; after a gap, from the next keyframe on."""
 
         def on_state(fault: str) -> None:
@@ -119,9 +119,7 @@ class ArchivedStream:
                 if message.subject == self._archive.sound:
                     taker.on_sound(message.data)
                     continue
-                found = id_of(message)
-                data = None if found is None else assembler.push(found, message.data)
-                if found is None or data is None:
+                if (found := id_of(message)) is None or (data := assembler.push(found, message.data)) is None:
                     continue
                 packet = stream_packet(0, found.position.epoch, data)
                 if held is not None and packet.place <= held:  # stored twice
@@ -135,7 +133,7 @@ class ArchivedStream:
                 await taker.on_packet(data)
                 held, complete = packet.place, True
 
-    async def _tell(self, taker: PacketTaker) -> None:
+    async def _tell(self, taker: OriginMessages) -> None:
         """Hand on the stream's state, until it is deleted."""
         progress = self._stream.progress
         while (told := self._directory.find(self._stream.id)) is not None:

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from streamlod.server.api.registry import Registry
 from streamlod.server.edge.edge import Edge
 from streamlod.server.edge.origin import OriginStream
-from streamlod.server.edge.supply import PacketTaker
+from streamlod.server.edge.origin_messages import OriginMessages
 from streamlod.server.settings import Settings
 from streamlod.server.stream.bus import Bus
 
@@ -37,7 +37,7 @@ class SlowToEnd:
     def supply(self, stream: OriginStream) -> SlowToEnd:
         return self
 
-    async def pull(self, taker: PacketTaker) -> None:
+    async def pull(self, taker: OriginMessages) -> None:
         self.pulling = True
         try:
             await asyncio.sleep(60)

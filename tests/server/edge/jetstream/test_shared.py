@@ -18,9 +18,9 @@ pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[j
 from websockets.exceptions import ConnectionClosed
 
 from streamlod.codec.container import SlodReader
-from streamlod.server.edge.jetstream import directory, publisher
+from streamlod.server.edge.jetstream import claim, publisher
+from streamlod.server.edge.jetstream.claim import Claim
 from streamlod.server.edge.jetstream.connection import NatsConnection
-from streamlod.server.edge.jetstream.directory import Claim
 from streamlod.server.edge.jetstream.messages import Names
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import MEGABYTE, Retention
@@ -213,7 +213,7 @@ def test_a_stream_that_is_published_by_another_version_of_the_protocol_is_left_o
 
     described = publishing.stream("played")
     asyncio.run(asyncio.wait_for(tell(described | {"id": "plain", "news": "which nobody knows"}), 20))
-    monkeypatch.setattr(directory, "PROTOCOL_VERSION", 2)
+    monkeypatch.setattr(claim, "PROTOCOL_VERSION", 2)
     asyncio.run(asyncio.wait_for(tell(described | {"id": "later"}), 20))
     monkeypatch.undo()
     with running(settings) as server:

@@ -58,7 +58,7 @@ def test_each_packet_is_taken_once_and_behind_a_gap_from_the_next_keyframe_on(tm
             await store_again(connection, clip[10])
             await fill(connection, [*clip[23:30], *clip[50:60]])
             stream, supply = edge_stream(connection)
-            following = asyncio.create_task(supply._follow(stream))
+            following = asyncio.create_task(supply._follow(stream.messages))
             while [packet.data for packet in stream.hub.window.packets] != kept:
                 await asyncio.sleep(0.02)
             await end(following)
