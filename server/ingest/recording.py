@@ -24,14 +24,12 @@ from streamlod.server.ingest.push.intake import Intake
 from streamlod.server.ingest.push.relay import listening
 from streamlod.server.ingest.rig import Rig
 from streamlod.server.ingest.sound.recorder import SoundRecorder
-from streamlod.server.ingest.sync.pace import Pace
+from streamlod.server.ingest.statistics import SLOW
+from streamlod.server.ingest.sync.pace import is_slow
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import CameraState, Instant
 
 _TELL_SECONDS = 5.0
-_JUDGED = 0.5  # of that time, in which a camera must have filmed to be called slow
-_SLOWEST = 0.8  # of the rig's rate, below which a camera's own is told
-_SLOW = "{:.0f} a second, but the rig wants {:g} pictures: give more light, or write a lower fps into the rig's file"
 _LATE_SECONDS = 1.5  # that pictures may be on their way after the end
 _BUFFERED = 32  # pictures of a camera that may wait to be written
 _TICKS = 90_000  # a second, of the files' times
@@ -53,14 +51,12 @@ class WatchedRig(Rig):
         self.writers: dict[str, _Writer] = {}
         self.sound: SoundRecorder | None = None
         self.newest: dict[str, Picture] = {}
-        self.paces = {camera.name: Pace() for camera in definition.cameras}
         self._sights: Mapping[str, BoardSight] = {}  # of the board, while its walk is recorded
 
     def put(self, picture: Picture) -> None:
         """See `Rig.put`."""
         super().put(picture)
         self.newest[picture.camera] = picture
-        self.paces[picture.camera] = self.paces[picture.camera].then(self.now_ns)
         if (writer := self.writers.get(picture.camera)) is not None:
             writer.take(picture)
 
@@ -123,19 +119,16 @@ def _telling(rig: WatchedRig, tell: Callable[[Mapping[str, str]], None]) -> Abst
 
     What is said again and again would push a phone's QR code out of the terminal.
     """
-    before = dict(rig.paces)
     told: dict[str, str] | None = None
 
     def watch() -> None:
-        nonlocal before, told
-        now = dict(rig.paces)
-        rates = {name: pace.since(before[name], _JUDGED * _TELL_SECONDS) for name, pace in now.items()}
-        slow = {name: rate for name, rate in rates.items() if rate is not None and rate < _SLOWEST * rig.fps}
-        before = now
-        trouble = dict.fromkeys(slow, _SLOW) | _missing(rig)
+        nonlocal told
+        rates = {name: camera.rate for name, camera in rig.statistics().cameras.items()}
+        slow = {name: rate for name, rate in rates.items() if rate is not None and is_slow(rate, rig.fps)}
+        trouble = dict.fromkeys(slow, SLOW) | _missing(rig)
         if trouble != told:  # another rate is no news
             rate = min(slow.values(), default=0.0)
-            tell({name: why.format(rate, rig.fps) if why is _SLOW else why for name, why in trouble.items()})
+            tell({name: why.format(rate, rig.fps) if why is SLOW else why for name, why in trouble.items()})
         told = trouble
 
     return repeating(watch, _TELL_SECONDS, "telling")

@@ -11,7 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import av
@@ -30,6 +30,7 @@ from streamlod.server.ingest.sound.hearing import Hearing
 from streamlod.server.ingest.sound.listening import CameraEar, Ear, Ears
 from streamlod.server.ingest.statistics import CameraStatistics, Statistics
 from streamlod.server.ingest.sync.clock import PLAUSIBLE_NS, ClockSource
+from streamlod.server.ingest.sync.pace import Pace
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import Instant, Synchroniser
 from streamlod.server.ingest.sync.timeline import Timeline
@@ -52,6 +53,7 @@ class _Last:
     ended: bool = False
     put: int = 0
     newest_ns: int | None = None
+    pace: Pace = field(default_factory=Pace)
 
 
 class Rig:
@@ -146,6 +148,7 @@ class Rig:
                 _LOG.warning("camera %s: %s", picture.camera, _CLOCK_LOST)
             last.source, last.error_ns = picture.source, picture.error_ns
             last.put += 1
+            last.pace.note(self.now_ns)
             last.newest_ns = picture.capture_ns
             if not self._paced:
                 self._change.notify_all()  # others may have waited for this camera
@@ -269,7 +272,8 @@ class Rig:
                     silences[name],
                     time_faults[name],
                     self._sizes[name],
-                )
+                    last.pace.rate,
+                ).judged(self.findings.complaint(name), self.fps if self._paced else None)
             return Statistics(
                 self._synchroniser.is_degraded(now),
                 self.waiting,

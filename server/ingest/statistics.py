@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from streamlod.server.ingest.sync.clock import ClockSource
+from streamlod.server.ingest.sync.pace import is_slow
 from streamlod.server.ingest.sync.synchroniser import CameraState, Counts
 from streamlod.server.ingest.sync.time_fault import TimeFault
+
+SLOW = "{:.0f} a second, but the rig wants {:g} pictures: give more light, or write a lower fps into the rig's file"
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +29,8 @@ class CameraStatistics:
         silent_ns: how long no picture has come; None before the first, and after the camera has gone.
         time_fault: what has been wrong with its pictures' times for seconds; None where nothing is.
         size: width and height of its pictures.
+        rate: pictures a second over its last seconds of filming; None where it has not filmed for long enough.
+        trouble: what is wrong with it and what to do, in words after its name; empty where it films as it should.
     """
 
     state: CameraState
@@ -41,6 +46,21 @@ class CameraStatistics:
     silent_ns: int | None = None
     time_fault: TimeFault | None = None
     size: tuple[int, int] | None = None
+    rate: float | None = None
+    trouble: str = ""
+
+    def judged(self, complaint: str, fps: float | None) -> CameraStatistics:
+        """The same with its `trouble`.
+
+        Args:
+            complaint: of its place or name, see `Findings.complaint`.
+            fps: pictures a second that are wanted; None where any rate will do.
+        """
+        if self.state is CameraState.LOST:
+            return replace(self, trouble=self.refused or self.fault or "no pictures come")
+        times = "" if self.time_fault is None else f"its {self.time_fault.words}: {self.time_fault.remedy}"
+        slow = "" if self.rate is None or fps is None or not is_slow(self.rate, fps) else SLOW.format(self.rate, fps)
+        return replace(self, trouble=self.refused or times or complaint or slow)
 
 
 @dataclass(frozen=True, slots=True)

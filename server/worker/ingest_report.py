@@ -7,11 +7,6 @@ from typing import Any
 from streamlod.server.ingest.sync.synchroniser import CameraState
 from streamlod.server.ingest.sync.time_fault import TimeFault
 
-_TIMES_PUT_RIGHT = {
-    TimeFault.STILL: "restart it",
-    TimeFault.BACK: "restart it",
-    TimeFault.FAR: "set its clock (NTP)",
-}
 _SILENT_NS = 5_000_000_000  # of a camera whose connection stands: on a busy machine pictures stay away for seconds
 
 
@@ -32,7 +27,7 @@ def complaint(figures: dict[str, Any]) -> str:
         if name not in lost and one.get("knocked")
     ]
     parts += [
-        f"camera {name}'s {fault.words}: {_TIMES_PUT_RIGHT[fault]}; until then the stream goes on without it"
+        f"camera {name}'s {fault.words}: {fault.remedy}; until then the stream goes on without it"
         for name, one in cameras.items()
         if name not in lost and one.get("time_fault") and (fault := TimeFault(one["time_fault"]))
     ]

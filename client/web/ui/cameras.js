@@ -4,16 +4,9 @@ import { element } from "./page.js";
 
 const PICTURES_MS = 400,
   FIGURES_MS = 1000;
-const RATE_MS = 6000; // over which pictures are counted
 const EMPTY = "data:image/gif;base64,R0lGODlhAQABAAAAACH5BAEKAAEALAAAAAABAAEAAAICTAEAOw=="; // else a browser draws a broken one
-/** What is wrong with a camera's times, by `time_fault` of docs/ingest.md. @type {Record<string, string>} */
-const TIMES = {
-  still: "its times stand still: restart it",
-  back: "its times run backwards: restart it",
-  far: "its times are far from those of the others: set its clock",
-};
 
-/** @typedef {{ state: string, fault: string, refused: string, time_fault: string | null, size: [number, number] | null, counts: { received: number } }} Figures of a camera; docs/ingest.md */
+/** @typedef {{ state: string, trouble: string, rate: number | null, size: [number, number] | null }} Figures of a camera; docs/ingest.md */
 
 const options = new URLSearchParams(location.search);
 const place = new URL(`v1/streams/${encodeURIComponent(options.get("stream") ?? "main")}`, new URL(".", location.href))
@@ -36,25 +29,15 @@ class Tile {
       this.facts,
       this.trouble,
     );
-    /** @type {{ at: number, received: number }[]} */
-    this.counted = [];
   }
 
-  /** @param {Figures} figures @param {number} at - when they came, ms */
-  tell({ state, fault, refused, time_fault, size, counts: { received } }, at) {
-    this.counted = [
-      ...this.counted.filter((one) => at - one.at <= RATE_MS && one.received <= received),
-      { at, received },
-    ];
-    const [first] = this.counted,
-      seconds = (at - first.at) / 1000;
-    const rate = seconds > 0.9 ? `${Math.round((received - first.received) / seconds)} a second` : "";
+  /** @param {Figures} figures */
+  tell({ state, trouble, rate, size }) {
+    const pace = rate === null || state === "lost" ? "" : `${Math.round(rate)} a second`;
     if (size) this.image.style.aspectRatio = size.join("/");
-    this.facts.textContent = [size?.join("×"), state === "lost" ? "" : rate].filter(Boolean).join(" · ");
-    const trouble = state === "lost" ? fault || "no pictures come" : refused || (TIMES[time_fault ?? ""] ?? "");
+    this.facts.textContent = [size?.join("×"), pace].filter(Boolean).join(" · ");
     if (this.trouble.textContent !== trouble) this.trouble.textContent = trouble;
     this.item.classList.toggle("bad", trouble !== "");
-    return trouble === "";
   }
 
   /** Show the newest picture, where there is one. */
@@ -83,18 +66,21 @@ function say(text, tone) {
 
 /** @param {{ ingest: { cameras: Record<string, Figures> } | null, camera_pictures: string[] }} stream */
 function tell({ ingest, camera_pictures }) {
-  const cameras = Object.entries(ingest?.cameras ?? {}),
-    now = performance.now();
+  const cameras = Object.entries(ingest?.cameras ?? {});
   seen = camera_pictures;
-  for (const [name] of cameras) {
-    if (tiles.has(name)) continue;
-    const tile = new Tile(name);
-    tiles.set(name, tile);
-    element("cameras").append(tile.item);
+  for (const [name, figures] of cameras) {
+    let tile = tiles.get(name);
+    if (!tile) {
+      tiles.set(name, (tile = new Tile(name)));
+      element("cameras").append(tile.item);
+    }
+    tile.tell(figures);
   }
-  const well = cameras.filter(([name, figures]) => tiles.get(name)?.tell(figures, now)).length;
+  const bad = cameras.filter(([, { trouble }]) => trouble).map(([name]) => name);
+  const well = `${cameras.length - bad.length} of ${cameras.length} cameras film as they should`;
   if (!cameras.length) say("No camera films yet", "busy");
-  else say(`${well} of ${cameras.length} cameras film as they should`, well === cameras.length ? "good" : "busy");
+  else if (!bad.length) say(well, "good");
+  else say(`${well}; see ${bad.join(", ")}`, "busy");
 }
 
 async function figures() {

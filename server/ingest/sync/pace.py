@@ -2,35 +2,41 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import deque
 
 _SECOND_NS = 1_000_000_000
 _SILENT_NS = _SECOND_NS  # between two pictures: more is no slow camera, but one that was away
+_WINDOW_NS = 5 * _SECOND_NS  # of filming, over which a rate is taken
+_JUDGED_NS = _WINDOW_NS // 2  # of filming, from which on there is a rate
+_MAX_GAPS = 1024  # kept; a camera that sends more in five seconds is not slow
+_SLOWEST = 0.8  # of the rate that is wanted, below which a camera is slow
 
 
-@dataclass(frozen=True, slots=True)
 class Pace:
-    """Pictures that one camera has delivered so far.
+    """The pace of one camera's pictures over its last five seconds of filming."""
 
-    Attributes:
-        pictures: those that came after another one, without a silence between.
-        filming_ns: between each of them and the one before it, in all.
-        newest_ns: when the last picture came; None before the first.
-    """
+    def __init__(self) -> None:
+        self._newest_ns: int | None = None
+        self._gaps = deque[int]()  # from picture to picture, nanoseconds
+        self._filming_ns = 0  # their sum
 
-    pictures: int = 0
-    filming_ns: int = 0
-    newest_ns: int | None = None
+    def note(self, now_ns: int) -> None:
+        """A picture came now."""
+        gap = None if self._newest_ns is None else now_ns - self._newest_ns
+        self._newest_ns = now_ns
+        if gap is None or gap > _SILENT_NS:
+            return
+        self._gaps.append(gap)
+        self._filming_ns += gap
+        while len(self._gaps) > _MAX_GAPS or self._filming_ns - self._gaps[0] >= _WINDOW_NS:
+            self._filming_ns -= self._gaps.popleft()
 
-    def then(self, now_ns: int) -> Pace:
-        """The pace with one more picture, which came now."""
-        if self.newest_ns is None or now_ns - self.newest_ns > _SILENT_NS:
-            return Pace(self.pictures, self.filming_ns, now_ns)
-        return Pace(self.pictures + 1, self.filming_ns + now_ns - self.newest_ns, now_ns)
+    @property
+    def rate(self) -> float | None:
+        """Pictures a second; None where it has not filmed for long enough."""
+        return len(self._gaps) * _SECOND_NS / self._filming_ns if self._filming_ns >= _JUDGED_NS else None
 
-    def since(self, before: Pace, at_least_seconds: float) -> float | None:
-        """Pictures a second since then; None where it has not filmed for so long."""
-        filming_ns = self.filming_ns - before.filming_ns
-        if filming_ns < at_least_seconds * _SECOND_NS:
-            return None
-        return (self.pictures - before.pictures) * _SECOND_NS / filming_ns
+
+def is_slow(rate: float | None, fps: float) -> bool:
+    """Whether pictures come more slowly than `fps` wants them."""
+    return rate is not None and rate < _SLOWEST * fps

@@ -22,6 +22,11 @@ class TimeFault(StrEnum):
         """The words for it in a sentence, after the name of a camera."""
         return _WORDS[self]
 
+    @property
+    def remedy(self) -> str:
+        """The words for what puts it right."""
+        return "set its clock (NTP)" if self is TimeFault.FAR else "restart it"
+
 
 _WORDS = {
     TimeFault.STILL: "times stand still",

@@ -9,10 +9,12 @@ import pytest
 
 from streamlod.server.ingest.cameras.definition import read_definition
 from streamlod.server.ingest.rig import Rig
+from streamlod.server.ingest.statistics import SLOW
 from streamlod.server.ingest.sync.clock import ClockSource
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import Instant
-from tests.server.ingest.push.stage import rig
+from streamlod.server.ingest.sync.timeline import Timeline
+from tests.server.ingest.push.stage import FPS, rig
 from tests.waiting import wait
 
 
@@ -48,3 +50,30 @@ def test_who_films_is_told_that_the_times_of_its_camera_are_wrong(later_ns: int 
 
     assert wait(complaint, 60) == f"{said}reload this page; until then its pictures are left out"
     assert watched.complaint("phone1") == ""
+    troubles = {name: one.trouble.partition(":")[0] for name, one in watched.statistics().cameras.items()}
+    assert troubles == {"phone1": "", "phone2": said.partition(":")[0], "phone3": ""}
+
+
+def test_cameras_that_do_not_film_as_they_should_say_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second is slow, the third was knocked, two have each other's names, the last never came."""
+    names, begin_ns = tuple(f"phone{number}" for number in range(1, 7)), time.time_ns()
+    watched = Rig(read_definition(rig((64, 48), len(names))), names)
+    for number in range(3 * FPS):
+        now = begin_ns + number * 1_000_000_000 // FPS
+        monkeypatch.setattr(Timeline, "now_ns", lambda _, now=now: now)
+        for name in names[:-1]:
+            if name != "phone2" or number % 2 == 0:
+                watched.put(_picture(name, now))
+    watched.findings.note_shifts([0.0, 0.0, 9.0, 0.0, 0.0, None], np.arange(6) == 2)
+    exchanged = "phone4 and phone5 are exchanged: swap their names"
+    watched.findings.note_poses((exchanged,))
+    cameras = watched.statistics().cameras
+    assert {name: one.trouble for name, one in cameras.items()} == {
+        "phone1": "",
+        "phone2": SLOW.format(10, FPS),
+        "phone3": "it was knocked: put it back as it stood, or calibrate again",
+        "phone4": exchanged,
+        "phone5": exchanged,
+        "phone6": "no pictures come",
+    }
+    assert cameras["phone1"].rate == pytest.approx(FPS)

@@ -2,34 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import pytest
 
-from streamlod.server.ingest.sync.pace import Pace
+from streamlod.server.ingest.sync.pace import Pace, is_slow
 
 MS = 1_000_000
 
 
-def filmed(pace: Pace, *times_ms: float) -> Pace:
-    """The pace with pictures that came at these times."""
+def rate(*times_ms: float) -> float | None:
+    """The rate of a camera whose pictures came at these times."""
+    pace = Pace()
     for ms in times_ms:
-        pace = pace.then(round(ms * MS))
-    return pace
+        pace.note(round(ms * MS))
+    return pace.rate
 
 
-@pytest.mark.parametrize("away_ms", [0, 1_500, 60_000])
+def filmed(begin_ms: float, fps: float, seconds: float) -> Iterable[float]:
+    """Times of pictures."""
+    return (begin_ms + 1000 * number / fps for number in range(round(seconds * fps) + 1))
+
+
+@pytest.mark.parametrize("away_ms", [100, 1_500, 60_000])
 def test_a_silence_makes_no_camera_slow(away_ms: float) -> None:
-    before = filmed(Pace(), 0, 100, 200)
-    after = filmed(before, *(300 + away_ms + 100 * number for number in range(10)))
-    assert after.since(before, 0.9) == pytest.approx(10)
+    assert rate(*filmed(0, 10, 2), *filmed(2000 + away_ms, 10, 2)) == pytest.approx(10)
 
 
-def test_a_slow_camera_is_slow_however_it_was_before() -> None:
-    before = filmed(Pace(), *range(0, 1000, 10))
-    assert filmed(before, *range(1490, 4000, 500)).since(before, 2.0) == pytest.approx(2)
+@pytest.mark.parametrize(("before", "after"), [(100, 2), (2, 100)])
+def test_a_camera_is_judged_by_its_last_seconds(before: float, after: float) -> None:
+    assert rate(*filmed(0, before, 20), *filmed(20_000, after, 5.1)) == pytest.approx(after, rel=0.01)
 
 
 def test_a_camera_that_hardly_filmed_is_not_judged() -> None:
-    assert Pace().since(Pace(), 1.0) is None
-    assert filmed(Pace(), 0).since(Pace(), 1.0) is None, "one picture has no pace"
-    assert filmed(Pace(), 0, 900, 3000, 3090).since(Pace(), 1.0) is None
-    assert filmed(Pace(), 0, 900, 3000, 3100).since(Pace(), 1.0) == pytest.approx(2)
+    assert rate() is None
+    assert rate(0) is None, "one picture has no pace"
+    assert rate(0, 900, 1800, 9000, 9690) is None
+    assert rate(0, 900, 1800, 9000, 9700) == pytest.approx(1.2)
+    assert not is_slow(None, 30)
+
+
+def test_a_flood_of_pictures_takes_no_memory_and_is_not_slow() -> None:
+    found = rate(*filmed(0, 1000, 6))
+    assert found is None or not is_slow(found, 120)
