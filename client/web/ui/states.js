@@ -7,7 +7,7 @@
  * @property {{ title: string, text: string, spinner: boolean, fraction?: number | null, button?: string, asks?: boolean } | null} card - null: nothing in the way
  */
 
-const MAX_CHARACTERS = 60; // characters of the server's words in the chip
+const MAX_CHARACTERS = 400; // characters of the server's words in the chip
 const WAITING_AT = 0.05,
   TRAINING_FROM = 0.1,
   TRAINING = 0.8,
@@ -21,10 +21,10 @@ const full = (chip, tone, title, text, more = {}) => ({
   card: { title, text: text.charAt(0).toUpperCase() + text.slice(1), spinner: false, ...more },
 });
 
-/** What is going on, with the beginning of what is wrong. @type {(what: string, trouble: string) => string} */
-function but(what, trouble) {
+/** What is going on, with what is wrong and what to do. @type {(what: string, trouble: string, link?: string) => string} */
+function but(what, trouble, link = ", but ") {
   if (!trouble) return what;
-  return `${what}, but ${trouble.length > MAX_CHARACTERS ? `${trouble.slice(0, MAX_CHARACTERS)}…` : trouble}`;
+  return `${what}${link}${trouble.length > MAX_CHARACTERS ? `${trouble.slice(0, MAX_CHARACTERS)}…` : trouble}`;
 }
 
 /** How far back, for people. @type {(seconds: number | null) => string} */
@@ -86,7 +86,7 @@ export function words(status, picture, waitMs) {
     case "paused":
       return small("Paused", "quiet");
     case "stalled":
-      return small("No new frames", "busy");
+      return small(but("No new frames", trouble, ": "), "busy");
     case "reconnecting": {
       const when = seconds > 0 ? ` in ${seconds} s` : "";
       if (picture) return small(`Reconnecting${when}`, "busy");

@@ -40,6 +40,8 @@ def shots() -> list[Shot]:
     """All of them."""
     full = Behaviour(newest=30)
     lost = Behaviour(state="starting", detail="3 of 5 cameras are lost: cam1, cam2, cam4 (Connection refused)")
+    knocked = replace(full, fps=5, state="degraded", detail="camera door was knocked: put it back or calibrate again; "
+                      "until then the stream goes on without it")  # fmt: skip
     training = Behaviour(state="starting", progress=(0.4, "step 400 of 1000"))
     films = {"cam01": jpeg()}
     many = Behaviour(newest=30, streams=("main", "stage left", "rehearsal"))
@@ -76,6 +78,8 @@ def shots() -> list[Shot]:
         Shot("training", training, live=False),
         Shot("training-phone-light", training, PHONE, "light", live=False),
         Shot("waiting", Behaviour(state="idle"), live=False),
+        Shot("knocked", knocked),
+        Shot("knocked-phone", knocked, (360, 640)),
         Shot("cameras-lost", lost, live=False),
         Shot("cameras-lost-phone", lost, PHONE, live=False),
         Shot("graphics-lost", full, act="lose"),
