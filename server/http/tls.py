@@ -12,7 +12,9 @@ import socket
 import ssl
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from weakref import WeakKeyDictionary
 
 from streamlod.core.errors import InputError
 from streamlod.server.settings import Limits
@@ -103,6 +105,7 @@ class TlsListener:
     ) -> None:
         self._certificates, self._handshakes, self._make = certificates, handshakes, make
         self._shaking: set[asyncio.Task[None]] = set()
+        self._open = WeakKeyDictionary[asyncio.Transport, socket.socket]()
 
     async def accept(self, listener: socket.socket) -> None:
         """Take connections from `listener` until cancelled."""
@@ -127,11 +130,22 @@ class TlsListener:
             for task in self._shaking:
                 task.cancel()
 
+    def cut_closed(self) -> None:
+        """Cut connections that are closed, but whose peer has not said goodbye.
+
+        `abort` of a transport does that too, but nothing once it was closed twice.
+        """
+        for transport, peer in self._open.items():
+            if transport.is_closing():
+                with suppress(OSError):  # it has ended meanwhile
+                    peer.shutdown(socket.SHUT_RDWR)
+
     async def _shake(self, peer: socket.socket, address: str) -> None:
         context, seconds = self._certificates.context, self._handshakes.limits.request_seconds
         try:
             loop = asyncio.get_running_loop()
-            await loop.connect_accepted_socket(self._make, peer, ssl=context, ssl_handshake_timeout=seconds)
+            made = await loop.connect_accepted_socket(self._make, peer, ssl=context, ssl_handshake_timeout=seconds)
+            self._open[made[0]] = peer
         except (OSError, ValueError):  # also of TLS, and for lack of time
             self._handshakes.refuse()
         finally:

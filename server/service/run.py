@@ -37,6 +37,7 @@ from streamlod.server.settings import Settings
 _LOG = logging.getLogger(__name__)
 _BACKLOG = 2048
 KEEP_ALIVE_SECONDS = 15  # that a connection may be silent between two requests
+_GOODBYE_SECONDS = 0.5  # that closed connections have to end when the server stops
 _OTHER_DESCRIPTORS = 512  # of files, pipes and databases
 
 
@@ -52,6 +53,7 @@ class Server(uvicorn.Server):
     def __init__(self, config: uvicorn.Config, registry: Registry, certificates: Certificates | None = None) -> None:
         super().__init__(config)
         self._registry, self._certificates = registry, certificates
+        self._listener: TlsListener | None = None
         self._accepting: list[asyncio.Task[None]] = []
         self._handshakes = Handshakes(registry.settings.limits, registry.turned_away)
 
@@ -60,8 +62,8 @@ class Server(uvicorn.Server):
             await super().startup(sockets)
             return
         await super().startup([])
-        listener = TlsListener(self._certificates, self._handshakes, self._protocol)
-        self._accepting = [asyncio.create_task(listener.accept(each)) for each in sockets or ()]
+        self._listener = TlsListener(self._certificates, self._handshakes, self._protocol)
+        self._accepting = [asyncio.create_task(self._listener.accept(each)) for each in sockets or ()]
 
     def _protocol(self) -> asyncio.Protocol:
         """One HTTP connection, as uvicorn makes it."""
@@ -91,7 +93,22 @@ class Server(uvicorn.Server):
         for task in self._accepting:
             task.cancel()
         await self._registry.drain()
+        cutting = asyncio.create_task(self._cut_closed())
         await super().shutdown(sockets)
+        cutting.cancel()
+
+    async def _cut_closed(self) -> None:
+        """Cut connections that are closed already, but wait for their peer: to take the last bytes, or to say goodbye.
+
+        A browser reads nothing from a connection that it keeps for later, and a phone may sleep.
+        """
+        while True:
+            await asyncio.sleep(_GOODBYE_SECONDS)
+            for connection in list(self.server_state.connections):
+                if connection.transport is not None and connection.transport.is_closing():
+                    connection.transport.abort()
+            if self._listener is not None:
+                self._listener.cut_closed()
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         self._registry.draining = True

@@ -119,7 +119,7 @@ async def _run(server: Server, listener: socket.socket, rig: Path) -> None:
     if server.started:
         await registry.create(StreamSpec(STREAM, TrainJob(live=rig)), start=False)
     await serving
-    for connection in list(server.server_state.connections):  # over TLS, until the other side has said goodbye
+    for connection in list(server.server_state.connections):  # whose requests were cancelled
         if connection.transport is not None:
             connection.transport.abort()
     await asyncio.sleep(0)

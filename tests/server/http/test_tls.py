@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import shutil
 import socket
+import ssl
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -21,6 +23,13 @@ from tests.waiting import wait
 def secured(folder: Path, **limits: float) -> Settings:
     certificate, key = write_certificate(folder, 1001)
     return Settings(certificate=certificate, certificate_key=key, limits=Limits.model_validate(limits))
+
+
+def _upgrade(socket_name: str) -> bytes:
+    """Ask for a websocket of a stream that there may be."""
+    lines = (f"GET /v1/streams/main/{socket_name} HTTP/1.1", "Host: a", "Upgrade: websocket", "Connection: Upgrade",
+             "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13", "", "")  # fmt: skip
+    return "\r\n".join(lines).encode()
 
 
 def silent(server: Running) -> socket.socket:
@@ -107,3 +116,15 @@ def test_bytes_that_are_no_handshake_are_cut_off(tmp_path: Path) -> None:
             pass
         wait(lambda: server.registry.turned_away["handshakes"] == 1)
         assert serial_at(server.port) == 1001
+
+
+@pytest.mark.parametrize("asks", [b"GET /healthz HTTP/1.1\r\nHost: a\r\n\r\n", _upgrade("live"), _upgrade("ingest")])
+def test_the_end_waits_for_no_goodbye(tmp_path: Path, caplog: pytest.LogCaptureFixture, asks: bytes) -> None:
+    """A phone that sleeps, or a browser that keeps a connection for later, answers no end of TLS; all went well."""
+    context = ssl.create_default_context()
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    with ExitStack() as peers, running(secured(tmp_path)) as server:
+        peer = peers.enter_context(context.wrap_socket(peers.enter_context(silent(server))))
+        peer.sendall(asks)
+        assert b"HTTP/1.1 " in peer.recv(1000)
+    assert [record.getMessage() for record in caplog.records if record.levelno >= logging.ERROR] == []
