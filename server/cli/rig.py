@@ -12,7 +12,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from streamlod.core.data.names import spoken
 from streamlod.core.errors import BackendUnavailable, InputError, StreamlodError
 from streamlod.core.files import write_bytes, write_text
 from streamlod.core.masking import masked
@@ -20,6 +19,7 @@ from streamlod.server.cli.calibrate import board_of
 from streamlod.server.ingest.cameras.address import CAMERA_NAME, parse_address
 from streamlod.server.ingest.cameras.sound_source import choose_sound
 from streamlod.server.ingest.finding.search import NamedSource, search
+from streamlod.server.ingest.statistics import trouble_of
 
 if TYPE_CHECKING:
     from streamlod.server.ingest.cameras.definition import RigDefinition
@@ -257,13 +257,6 @@ def _show_pages(pages: Mapping[str, str], say: Say) -> None:
 
 def _waiting(missing: Mapping[str, str]) -> str:
     return f"waiting for {trouble_of(missing)}" if missing else "waiting for all cameras to film at the same time"
-
-
-def trouble_of(missing: Mapping[str, str]) -> str:
-    """The cameras in `missing`, each with what is wrong with it, those with the same fault together."""
-    faults = dict.fromkeys(missing.values())  # in their order; cameras of one fault are named together
-    cameras = [spoken([name for name in missing if missing[name] == fault]) for fault in faults]
-    return ", ".join(f"{names} ({fault or 'no pictures come'})" for names, fault in zip(cameras, faults, strict=True))
 
 
 def _check_folder(folder: Path, *, overwrite: bool) -> None:

@@ -24,7 +24,7 @@ from streamlod.server.ingest.push.intake import Intake
 from streamlod.server.ingest.push.relay import listening
 from streamlod.server.ingest.rig import Rig
 from streamlod.server.ingest.sound.recorder import SoundRecorder
-from streamlod.server.ingest.statistics import SLOW
+from streamlod.server.ingest.statistics import SLOW, trouble_of
 from streamlod.server.ingest.sync.pace import is_slow
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import CameraState, Instant
@@ -97,7 +97,7 @@ def first_whole(rig: WatchedRig, seconds: float, waiting: Callable[[Mapping[str,
         waiting: told which cameras do not deliver, and why, where that is known, whenever these are others.
 
     Raises:
-        InputError: a camera did not come in time.
+        InputError: cameras did not come in time; it names them all.
     """
     timer = threading.Timer(seconds, rig.stop)
     timer.daemon = True
@@ -109,8 +109,8 @@ def first_whole(rig: WatchedRig, seconds: float, waiting: Callable[[Mapping[str,
                     return instant
     finally:
         timer.cancel()
-    for name, fault in _missing(rig).items():
-        raise InputError(f"camera {name}", fault or f"sent no picture within {seconds:.0f} s")
+    if missing := _missing(rig):
+        raise InputError("rig", f"waited {seconds:.0f} s for {trouble_of(missing)}; have all film and try again")
     raise InputError("rig", f"had no instant with pictures of all cameras within {seconds:.0f} s")
 
 

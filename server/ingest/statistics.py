@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from streamlod.core.data.names import spoken
 from streamlod.server.ingest.sync.clock import ClockSource
 from streamlod.server.ingest.sync.pace import is_slow
 from streamlod.server.ingest.sync.synchroniser import CameraState, Counts
@@ -90,3 +92,10 @@ class Statistics:
     cameras: dict[str, CameraStatistics]
     sound: str | None = None
     poses: tuple[str, ...] = ()
+
+
+def trouble_of(missing: Mapping[str, str]) -> str:
+    """The cameras in `missing`, each with what is wrong with it, those with the same fault together."""
+    faults = dict.fromkeys(missing.values())  # in their order; cameras of one fault are named together
+    cameras = [spoken([name for name in missing if missing[name] == fault]) for fault in faults]
+    return ", ".join(f"{names} ({fault or 'no pictures come'})" for names, fault in zip(cameras, faults, strict=True))

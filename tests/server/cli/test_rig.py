@@ -33,10 +33,11 @@ from streamlod.server.auth.gate import hash_token
 from streamlod.server.cli import rig as rig_command
 from streamlod.server.cli.check import check
 from streamlod.server.cli.main import app
-from streamlod.server.cli.rig import find, phones_socket, trouble_of, watch
+from streamlod.server.cli.rig import find, phones_socket, watch
 from streamlod.server.ingest import recording
 from streamlod.server.ingest.cameras.definition import read_definition, read_uncalibrated
 from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
+from streamlod.server.ingest.statistics import trouble_of
 from streamlod.server.service.station import station
 from streamlod.server.settings import Settings, load_settings
 from tests.clicks import heard_at, write_sounding
@@ -383,7 +384,7 @@ def test_what_is_waited_for_is_said_once(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(recording, "_TELL_SECONDS", 0.1)
     monkeypatch.setattr(rig_command, "_WAIT_SECONDS", 2.0)
     rig, said = write_definition(tmp_path, ["push:"] * 2), list[str]()
-    with pytest.raises(InputError, match="cam0: sent no picture within 2 s"):
+    with pytest.raises(InputError, match=r"waited 2 s for cam0 and cam1 \(no pictures come\); have all"):
         watch(rig, None, 3.0, Settings(port=0), said.append, overwrite=False)
     assert [line for line in said if line.startswith("waiting")] == ["waiting for cam0 and cam1 (no pictures come)"]
 
