@@ -1,17 +1,14 @@
-"""`streamlod rig`: the file of a rig, what its cameras see, and recordings of it before it is calibrated."""
+"""`streamlod rig`: the file of a rig, and what its cameras see."""
 
 from __future__ import annotations
 
 import json
 import re
-import signal
 import socket
 import ssl
-import subprocess
-import sys
 import threading
 import time
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -21,13 +18,10 @@ import httpx
 import numpy as np
 import pytest
 from typer.testing import CliRunner
-from websockets.exceptions import ConnectionClosed, WebSocketException
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-from streamlod.codec.sound.beside import RECORDED, look_at_sound
-from streamlod.core.calibration.walk import open_walk
-from streamlod.core.data.video.file import probe_video, read_video
 from streamlod.core.errors import InputError
 from streamlod.server.auth.gate import hash_token
 from streamlod.server.cli import rig as rig_command
@@ -36,25 +30,14 @@ from streamlod.server.cli.main import app
 from streamlod.server.cli.rig import find, phones_socket, watch
 from streamlod.server.ingest import recording
 from streamlod.server.ingest.cameras.definition import read_definition, read_uncalibrated
-from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
+from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL
 from streamlod.server.ingest.statistics import trouble_of
 from streamlod.server.service.station import station
 from streamlod.server.settings import Settings, load_settings
-from tests.clicks import heard_at, write_sounding
 from tests.core.data.writers import write_video
+from tests.server.cli.filming import FPS, film, found, write_still
 from tests.server.ingest.rig import HEIGHT, WIDTH, burnt, number_of, write_definition
-from tests.small_disk import files_up_to
 from tests.waiting import wait
-
-FPS = 20
-SKEW_NS = 7_000_000  # by which the second phone films later
-
-
-def found(folder: Path, *sources: str, phones: int = 0, sound: str | None = None, overwrite: bool = False) -> list[str]:
-    """What `find` says."""
-    said: list[str] = []
-    find(sources, folder / "rig.json", phones, (160, 128), FPS, said.append, sound=sound, overwrite=overwrite)
-    return said
 
 
 @pytest.mark.parametrize(("phones", "quorum"), [(3, 3), (4, 3)])
@@ -186,36 +169,6 @@ def test_a_calibration_of_another_size_is_refused(tmp_path: Path) -> None:
     assert read_definition(rig).cameras[0].width == WIDTH
 
 
-def film(
-    page: str,
-    camera: str,
-    begin_ns: int,
-    over: threading.Event,
-    answers: list[dict[str, Any]] | None = None,
-    fps: int = FPS,
-) -> None:
-    """Push numbered pictures as a phone with that page does, until it is over; `answers` gets what it is told."""
-    parts = urlsplit(page)
-    address = f"ws://{parts.netloc}/v1/streams/main/ingest?{parts.query}"
-    skew = SKEW_NS if camera == "phone2" else 0
-    number = 0
-    while not over.is_set():
-        try:
-            with connect(address, subprotocols=[Subprotocol(PUSH_SUBPROTOCOL)], compression=None) as node:
-                while not over.is_set():
-                    taken = begin_ns + round(number * 1e9 / fps) + skew
-                    time.sleep(max(0.0, (taken - time.time_ns()) / 1e9))
-                    body = cv2.imencode(".png", burnt(number))[1].tobytes()
-                    node.send(pack_push(PushMessage(camera, number, taken, Codec.PNG, body)))
-                    assert json.loads(node.recv(60))["type"] == "ack"
-                    number += 1
-                    if answers is not None:
-                        node.send(json.dumps({"type": "cameras"}))
-                        answers += json.loads(node.recv(60))["cameras"]
-        except (WebSocketException, OSError, EOFError):
-            over.wait(0.1)  # the rig does not take pictures yet, or the server has ended
-
-
 def test_a_phones_link_is_good_for_the_servers_that_follow(tmp_path: Path) -> None:
     """`rig --record`, `check` and `serve` come one after the other, while the phones' pages wait."""
     found(tmp_path, phones=1)
@@ -253,132 +206,6 @@ def test_a_phones_page_is_drawn_as_a_code_that_a_camera_reads(tmp_path: Path) ->
     assert read.endswith("/capture")
 
 
-@pytest.mark.long
-def test_phones_are_recorded_on_one_clock(tmp_path: Path) -> None:
-    """Each has a link of its own, as tokens are needed; the files tell when pictures were taken to a tenth of a ms."""
-    rig, tokens = tmp_path / "rig.json", tmp_path / "tokens.json"
-    tokens.write_text(json.dumps([{"name": "a", "sha256": hash_token("a"), "rights": ["read"], "streams": "*"}]))
-    found(tmp_path, str(write_still(tmp_path / "still.mp4")), phones=2)
-    said: list[str] = []
-    over, begin = threading.Event(), time.time_ns()
-    phones: list[threading.Thread] = []
-    answers: dict[str, list[dict[str, Any]]] = {"phone1": [], "phone2": []}
-
-    def say(line: str) -> None:
-        said.append(line)
-        if match := re.search(r"(phone\d): (http\S+)$", line):
-            work = (match[2], match[1], begin, over, answers[match[1]])
-            phones.append(threading.Thread(target=film, args=work, daemon=True))
-            phones[-1].start()
-
-    settings = Settings(port=0, tokens=tokens)
-    watch(rig, tmp_path / "walk", 3.0, settings, say, overwrite=False)
-    over.set()
-    for phone in phones:
-        phone.join(60)
-        assert not phone.is_alive()
-    assert len(phones) == 2
-    for name, told in answers.items():
-        assert {each["name"] for each in told} == {name}
-        assert "board" not in told[0], "nothing is recorded yet"
-        assert told[-1]["board"] == {"seen": False, "needs": "not seen yet"}
-    assert any("all 3 cameras at one instant" in line for line in said)
-    assert f"next: streamlod calibrate {tmp_path / 'walk'}" in said[-1]
-    with pytest.raises(InputError, match="not empty"):
-        watch(rig, tmp_path / "walk", 3.0, settings, say, overwrite=False)
-    assert all(probe_video(file).one_clock for file in (tmp_path / "walk").glob("*.mp4"))
-    footage = {each.camera: each for each in open_walk(tmp_path / "walk")}
-    assert footage.keys() == {"cam1", "phone1", "phone2"}
-    starts = []
-    for name in ("phone1", "phone2"):
-        numbers = [number_of(picture) for picture in footage[name].pictures() if picture is not None]
-        assert len(numbers) > 10
-        offsets = footage[name].times - np.array(numbers) / FPS
-        assert np.ptp(offsets) < 1e-4
-        starts.append(offsets[0])
-    assert abs(starts[1] - starts[0] - SKEW_NS / 1e9) < 1e-4
-
-
-@pytest.mark.long
-def test_what_was_recorded_is_there_where_the_recorder_was_killed(tmp_path: Path) -> None:
-    write_video(tmp_path / "film.mp4", [burnt(number) for number in range(300)], fps=FPS)
-    rig, folder = write_definition(tmp_path, ["film.mp4"] * 2), tmp_path / "walk"
-    command = [sys.executable, "-m", "streamlod.server.cli", "rig", str(rig), "--record", str(folder)]
-
-    def recorded() -> int:
-        try:
-            return min(probe_video(folder / f"cam{number}.mp4").frame_count for number in range(2))
-        except InputError:
-            return 0
-
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
-        try:
-            wait(lambda: process.poll() is not None or recorded() > FPS, 60)
-        finally:
-            process.kill()
-    assert process.returncode == -signal.SIGKILL
-    footage, _ = open_walk(folder)
-    numbers = [number_of(picture) for picture in footage.pictures() if picture is not None]
-    assert FPS < len(numbers) < 250, "of 300"
-    assert np.ptp(footage.times - np.array(numbers) / FPS) < 1e-4
-
-
-@pytest.mark.long
-def test_sound_is_recorded_on_the_clock_of_the_pictures(tmp_path: Path) -> None:
-    write_sounding(tmp_path / "film.mp4", 9.0)
-    folder, said = tmp_path / "walk", list[str]()
-    rig = write_definition(tmp_path, ["film.mp4"] * 2, size=(96, 64), sound="cam1")
-    watch(rig, folder, 5.0, Settings(), said.append, overwrite=False)
-    assert any(re.fullmatch(r".*sound\.opus: [45] s of sound of cam1", line) for line in said), said
-    assert look_at_sound(folder / RECORDED).camera == "cam1"
-    with closing(read_video(folder / "cam0.mp4")) as pictures:
-        bright = [(time_ns / 1e9, picture.to_ndarray(format="gray").mean() > 128) for time_ns, picture in pictures]
-    flashes = [time for (time, is_bright), (_, before) in zip(bright[1:], bright, strict=False) if is_bright > before]
-    clicks = heard_at(folder / RECORDED)
-    assert len(flashes) > 2
-    assert all(min(abs(click - flash) for click in clicks) < 0.04 for flash in flashes[:-1]), (flashes, clicks)
-
-
-@pytest.mark.long
-def test_sound_that_does_not_come_is_told(tmp_path: Path) -> None:
-    write_video(tmp_path / "mute.mp4", [burnt(number) for number in range(100)], fps=FPS)
-    rig, said = write_definition(tmp_path, ["mute.mp4"], sound="cam0"), list[str]()
-    (tmp_path / "walk").mkdir()
-    (tmp_path / "walk" / RECORDED).write_bytes(b"of an earlier walk")
-    watch(rig, tmp_path / "walk", 2.0, Settings(), said.append, overwrite=True)
-    assert "no sound was recorded: nothing came of cam0" in said
-    assert not (tmp_path / "walk" / RECORDED).exists()
-
-
-def test_a_walk_that_cannot_be_written_any_more_ends_at_once(tmp_path: Path) -> None:
-    """Nobody walks for a minute in vain; the fault names the file."""
-    write_video(tmp_path / "still.mp4", [burnt(0)] * (40 * FPS), fps=FPS)
-    rig, begin = write_definition(tmp_path, ["still.mp4"]), time.monotonic()
-    with ExitStack() as disk:
-
-        def fill(said: str) -> None:
-            if said.startswith("recording"):
-                disk.enter_context(files_up_to(500))
-
-        with pytest.raises(InputError, match=r"walk/cam0\.mp4: cannot be written"):
-            watch(rig, tmp_path / "walk", 40.0, Settings(), fill, overwrite=False)
-    assert time.monotonic() - begin < 30
-
-
-@pytest.mark.long
-def test_a_camera_slower_than_the_rig_is_named_while_it_is_recorded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Two such cameras might never film at one instant, and nobody would know why."""
-    monkeypatch.setattr(recording, "_TELL_SECONDS", 0.8)
-    write_video(tmp_path / "slow.mp4", [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * 50, fps=5)
-    rig, said = write_definition(tmp_path, ["slow.mp4"]), list[str]()
-    watch(rig, tmp_path / "walk", 3.0, Settings(), said.append, overwrite=False)
-    assert said[-3] == "the board: no camera has seen it, which is to have 7x5 squares of 55 mm", said
-    slow = r"trouble with cam0 \([345] a second, but the rig wants "
-    assert any(re.match(slow, line) for line in said), said
-
-
 def test_what_is_waited_for_is_said_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Else it would push the QR code out of the terminal before somebody has put up four phones."""
     monkeypatch.setattr(recording, "_TELL_SECONDS", 0.1)
@@ -389,45 +216,10 @@ def test_what_is_waited_for_is_said_once(tmp_path: Path, monkeypatch: pytest.Mon
     assert [line for line in said if line.startswith("waiting")] == ["waiting for cam0 and cam1 (no pictures come)"]
 
 
-@pytest.mark.long
-def test_a_phone_that_was_away_is_not_called_slow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It films as fast as it should, but its connection breaks every two seconds, for 1.2 s."""
-    monkeypatch.setattr(recording, "_TELL_SECONDS", 2.0)
-    fps, said, over, phones = 5, list[str](), threading.Event(), list[threading.Thread]()
-
-    def film_with_breaks(page: str) -> None:
-        while not over.is_set():
-            hangs_up = threading.Event()
-            threading.Timer(2.0, hangs_up.set).start()
-            film(page, "cam0", time.time_ns(), hangs_up, fps=fps)
-            over.wait(1.2)
-
-    def say(line: str) -> None:
-        said.append(line)
-        if match := re.search(r"each phone: (http\S+)$", line):
-            phones.append(threading.Thread(target=film_with_breaks, args=(match[1],), daemon=True))
-            phones[-1].start()
-
-    rig = write_definition(tmp_path, ["push:"], fps=fps)
-    watch(rig, tmp_path / "walk", 12.0, Settings(port=0), say, overwrite=False)
-    over.set()
-    phones[0].join(60)
-    assert not phones[0].is_alive()
-    assert any(re.match(r"trouble with cam0 \((?!\d)", line) for line in said), "it was away when that was asked"
-    assert not any("a second" in line for line in said), said
-
-
 def test_cameras_of_one_fault_are_named_together() -> None:
     slow = "5 a second, but the rig wants 8 pictures"
     found = trouble_of({"phone1": slow, "phone2": "", "phone3": slow})
     assert found == f"phone1 and phone3 ({slow}), phone2 (no pictures come)"
-
-
-def test_a_damaged_description_of_the_board_is_told_before_anything_is_waited_for(tmp_path: Path) -> None:
-    (tmp_path / "charuco.toml").write_text("columns = ")
-    with pytest.raises(InputError, match=r"charuco\.toml"):
-        watch(write_definition(tmp_path, ["push:"]), tmp_path / "walk", 3.0, Settings(), print, overwrite=False)
-    assert not (tmp_path / "walk").exists()
 
 
 def test_all_cameras_are_shown_while_a_rig_is_watched(tmp_path: Path) -> None:
@@ -487,12 +279,6 @@ def test_a_rig_without_phones_needs_no_server(tmp_path: Path) -> None:
             watch(write_definition(tmp_path, ["push:"]), None, 60.0, settings, said.append, overwrite=False)
     assert said[0].startswith("no page shows the cameras (")
     assert said[-1].endswith("all 1 cameras at one instant")
-
-
-def write_still(file: Path) -> Path:
-    """A camera that is no phone: a file of a minute."""
-    write_video(file, [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * (60 * FPS), fps=FPS)
-    return file
 
 
 @pytest.mark.long
