@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 from streamlod.core.calibration.checks.finding import RigFinding, fact
 from streamlod.core.calibration.checks.heard import judged
@@ -42,15 +42,13 @@ class Clap:
             self._until = time.monotonic() + _SECONDS
         return time.monotonic() >= self._until
 
-    def judged(self) -> Iterator[RigFinding]:
+    def judged(self) -> list[RigFinding]:
         """Cameras that heard at another time than most, and what to write into the rig's file; none without sound."""
         rising = loudness_rises(self.listeners)
         found = list(judged(rising, self._definition.fps, self._remedy, _REACH))
         if not found and len(rising) > 1:
-            found = [
-                fact(f"of {spoken(rising)} no two heard the same, such as a clap, by which to compare their times")
-            ]
-        yield from found
+            return [fact(f"of {spoken(rising)} no two heard the same, such as a clap, by which to compare their times")]
+        return found
 
     def _remedy(self, seconds: float) -> str:
         return (

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import queue
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
-
-import av
 
 from streamlod.codec.mp4.sound import SoundPiece
 from streamlod.codec.sound.beside import RECORDED
-from streamlod.core.camera import Camera
-from streamlod.core.data.video.file import ONE_CLOCK
 from streamlod.core.errors import InputError
 from streamlod.core.repeating import repeating
 from streamlod.server.ingest.board_sight import BoardSight
 from streamlod.server.ingest.cameras.definition import RigDefinition
+from streamlod.server.ingest.cameras.video_writer import VideoWriter
 from streamlod.server.ingest.push.intake import Intake
 from streamlod.server.ingest.push.relay import listening
 from streamlod.server.ingest.rig import Rig
@@ -27,16 +22,10 @@ from streamlod.server.ingest.sound.recorder import SoundRecorder
 from streamlod.server.ingest.statistics import SLOW, trouble_of
 from streamlod.server.ingest.sync.pace import is_slow
 from streamlod.server.ingest.sync.picture import Picture
-from streamlod.server.ingest.sync.synchroniser import CameraState, Instant
+from streamlod.server.ingest.sync.synchroniser import Instant
 
 _TELL_SECONDS = 5.0
 _LATE_SECONDS = 1.5  # that pictures may be on their way after the end
-_BUFFERED = 32  # pictures of a camera that may wait to be written
-_TICKS = 90_000  # a second, of the files' times
-# Each group of pictures is whole on disk before the next one begins: what was filmed outlives this process. The list
-# of the file waits for the first picture, whose time it has.
-_FILE = {"movflags": "hybrid_fragmented+delay_moov", "flush_packets": "1"}
-_ENCODER = {"preset": "ultrafast", "tune": "zerolatency", "crf": "17", "g": "30"}  # as fast as the cameras film
 
 
 class WatchedRig(Rig):
@@ -48,8 +37,8 @@ class WatchedRig(Rig):
 
     def __init__(self, definition: RigDefinition) -> None:
         super().__init__(definition, [camera.name for camera in definition.cameras], self._take_sound)
-        self.writers: dict[str, _Writer] = {}
-        self.sound: SoundRecorder | None = None
+        self.writers: dict[str, VideoWriter] = {}
+        self.sound_recorder: SoundRecorder | None = None
         self.newest: dict[str, Picture] = {}
         self._sights: Mapping[str, BoardSight] = {}  # of the board, while its walk is recorded
 
@@ -65,8 +54,8 @@ class WatchedRig(Rig):
         return self._sights.get(camera)
 
     def _take_sound(self, piece: SoundPiece) -> None:
-        if (sound := self.sound) is not None:
-            sound.take(piece)
+        if (recorder := self.sound_recorder) is not None:
+            recorder.take(piece)
 
     def show(self, sights: Mapping[str, BoardSight]) -> None:
         """Have each pushed camera's page tell what the camera sees and needs of the board."""
@@ -99,25 +88,21 @@ def first_whole(rig: WatchedRig, seconds: float, waiting: Callable[[Mapping[str,
     Raises:
         InputError: cameras did not come in time; it names them all.
     """
-    timer = threading.Timer(seconds, rig.stop)
-    timer.daemon = True
-    timer.start()
-    try:
-        with _telling(rig, waiting):
-            for instant in rig.instants():
-                if all(picture is not None for picture in instant.pictures):
-                    return instant
-    finally:
-        timer.cancel()
+    with _for_seconds(rig, seconds, waiting):
+        for instant in rig.instants():
+            if all(picture is not None for picture in instant.pictures):
+                return instant
     if missing := _missing(rig):
         raise InputError("rig", f"waited {seconds:.0f} s for {trouble_of(missing)}; have all film and try again")
     raise InputError("rig", f"had no instant with pictures of all cameras within {seconds:.0f} s")
 
 
-def _telling(rig: WatchedRig, tell: Callable[[Mapping[str, str]], None]) -> AbstractContextManager[None]:
-    """Call `tell` with the cameras that do not deliver as they should, and why: a few seconds after this is another.
+@contextmanager
+def _for_seconds(rig: WatchedRig, seconds: float | None, tell: Callable[[Mapping[str, str]], None]) -> Iterator[None]:
+    """Stop the rig when the context has lasted so long, or never where that is None.
 
-    What is said again and again would push a phone's QR code out of the terminal.
+    Meanwhile `tell` is told the cameras that do not deliver as they should, and why, a few seconds after these are
+    others: what is said again and again would push a phone's QR code out of the terminal.
     """
     told: dict[str, str] | None = None
 
@@ -131,7 +116,14 @@ def _telling(rig: WatchedRig, tell: Callable[[Mapping[str, str]], None]) -> Abst
             tell({name: why.format(rate, rig.fps) if why is SLOW else why for name, why in trouble.items()})
         told = trouble
 
-    return repeating(watch, _TELL_SECONDS, "telling")
+    timer = threading.Timer(threading.TIMEOUT_MAX if seconds is None else seconds, rig.stop)
+    timer.daemon = True
+    timer.start()
+    try:
+        with repeating(watch, _TELL_SECONDS, "telling"):
+            yield
+    finally:
+        timer.cancel()
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,8 +152,8 @@ def record(
     definition: RigDefinition,
     folder: Path,
     seconds: float,
-    missing: Callable[[Mapping[str, str]], None] = lambda _: None,
-    look: Callable[[Instant], object] = lambda _: None,
+    missing: Callable[[Mapping[str, str]], None],
+    look: Callable[[Instant], object],
 ) -> Recorded:
     """Record for so long, until the sources end, a file cannot be written or the user interrupts; the rig stops then.
 
@@ -177,7 +169,7 @@ def record(
     """
     begin_ns = rig.now_ns
     writers = {
-        camera.name: _Writer(folder / f"{camera.name}.mp4", camera, definition.fps, begin_ns, seconds, rig.stop)
+        camera.name: VideoWriter(folder / f"{camera.name}.mp4", camera, definition.fps, begin_ns, seconds, rig.stop)
         for camera in definition.cameras
     }
     for writer in writers.values():
@@ -186,11 +178,11 @@ def record(
     (folder / RECORDED).unlink(missing_ok=True)  # of an earlier recording, whose sound is not that of these pictures
     if definition.sound is not None:
         sound = SoundRecorder(folder / RECORDED, begin_ns, seconds, definition.microphone)
-    rig.writers, rig.sound = writers, sound
+    rig.writers, rig.sound_recorder = writers, sound
     try:
         go_on(rig, seconds + _LATE_SECONDS, missing, look)
     finally:
-        rig.writers, rig.sound = {}, None
+        rig.writers, rig.sound_recorder = {}, None
         ended = [writer.end() for writer in writers.values()] + ([] if sound is None else [sound.end()])
     for failure in ended:
         if failure is not None:
@@ -202,21 +194,13 @@ def record(
 def go_on(
     rig: WatchedRig,
     seconds: float | None,
-    missing: Callable[[Mapping[str, str]], None] = lambda _: None,
+    missing: Callable[[Mapping[str, str]], None],
     look: Callable[[Instant], object] = lambda _: None,
 ) -> None:
     """Film so long, or without end where that is None, until the sources end or the user interrupts. See `record`."""
-    timer = threading.Timer(threading.TIMEOUT_MAX if seconds is None else seconds, rig.stop)
-    timer.daemon = True
-    timer.start()
-    try:
-        with _telling(rig, missing):
-            for instant in rig.instants():
-                look(instant)
-    except KeyboardInterrupt:
-        pass
-    finally:
-        timer.cancel()
+    with suppress(KeyboardInterrupt), _for_seconds(rig, seconds, missing):
+        for instant in rig.instants():
+            look(instant)
 
 
 def _missing(rig: Rig) -> dict[str, str]:
@@ -224,69 +208,3 @@ def _missing(rig: Rig) -> dict[str, str]:
     return {
         name: camera.refused or camera.fault for name, camera in cameras.items() if camera.state is CameraState.LOST
     }
-
-
-class _Writer(threading.Thread):
-    """Writes one camera's video on a thread of its own.
-
-    Args:
-        begin_ns: capture time at which the file begins.
-        seconds: that it lasts at most.
-        failed: called once it cannot be written any more.
-    """
-
-    def __init__(
-        self, file: Path, camera: Camera, fps: float, begin_ns: int, seconds: float, failed: Callable[[], None]
-    ) -> None:
-        super().__init__(daemon=True, name=f"record {camera.name}")
-        self._file, self._size, self._fps = file, (camera.width, camera.height), fps
-        self._begin_ns, self._ticks = begin_ns, round(seconds * _TICKS)
-        self._waiting: queue.Queue[Picture | None] = queue.Queue(_BUFFERED)
-        self._failure: InputError | None = None
-        self._failed = failed
-        self.count = self.left_out = 0
-
-    def take(self, picture: Picture) -> None:
-        """Have a picture written, unless too many wait; never waits itself."""
-        try:
-            self._waiting.put_nowait(picture)
-        except queue.Full:
-            self.left_out += 1
-
-    def end(self) -> InputError | None:
-        """Wait until all is written; the fault where something could not be."""
-        self._waiting.put(None)
-        self.join()
-        return self._failure
-
-    def run(self) -> None:
-        try:
-            self._write_all()
-        except (av.FFmpegError, OSError) as error:
-            self._failure = InputError(self._file, f"cannot be written ({error.strerror or error})")
-            self._failed()
-            while self._waiting.get() is not None:  # nobody shall wait for room
-                pass
-
-    def _write_all(self) -> None:
-        even = self._size[0] % 2 == 0 and self._size[1] % 2 == 0
-        with av.open(str(self._file), "w", format="mp4", options=_FILE) as container:
-            container.metadata["comment"] = ONE_CLOCK
-            stream = container.add_stream("libx264", rate=Fraction(self._fps).limit_denominator(1001), options=_ENCODER)
-            stream.width, stream.height = self._size
-            stream.pix_fmt = "yuv420p" if even else "yuv444p"
-            stream.codec_context.time_base = Fraction(1, _TICKS)
-            last = -1
-            while (picture := self._waiting.get()) is not None:
-                ticks = round((picture.capture_ns - self._begin_ns) * _TICKS / 1e9)
-                if not last < ticks < self._ticks:
-                    continue
-                try:
-                    frame = av.VideoFrame.from_ndarray(picture.load(), format="rgb24")
-                except InputError:  # a damaged picture
-                    continue
-                frame.pts, frame.time_base = ticks, Fraction(1, _TICKS)
-                container.mux(stream.encode(frame))
-                last, self.count = ticks, self.count + 1
-            if self.count:
-                container.mux(stream.encode())

@@ -14,8 +14,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
-import av
-
 from streamlod.codec.mp4.sound import SoundPiece
 from streamlod.core.camera.grid import period_of
 from streamlod.core.errors import InputError
@@ -23,11 +21,11 @@ from streamlod.server.ingest.board_sight import BoardSight
 from streamlod.server.ingest.cameras.definition import RigDefinition
 from streamlod.server.ingest.cameras.reader import Reader
 from streamlod.server.ingest.cameras.readers import readers
+from streamlod.server.ingest.cameras.rig_sound import RigSound
 from streamlod.server.ingest.cameras.source_thread import ENDED
 from streamlod.server.ingest.findings import Findings
 from streamlod.server.ingest.holders import Holders
-from streamlod.server.ingest.sound.hearing import Hearing
-from streamlod.server.ingest.sound.listening import CameraEar, Ear, Ears
+from streamlod.server.ingest.sound.listening import CameraEar
 from streamlod.server.ingest.statistics import CameraStatistics, Statistics
 from streamlod.server.ingest.sync.clock import PLAUSIBLE_NS, ClockSource
 from streamlod.server.ingest.sync.pace import Pace
@@ -62,11 +60,11 @@ class Rig:
     Args:
         definition: of the rig.
         chosen: names of the cameras to read.
-        give_sound: takes the pieces of the definition's sound; None where nobody listens.
-        listeners: take what cameras hear that do not push, by name; of those that do, what the definition's sound is.
+        give_sound, listeners: see `RigSound`.
 
     Attributes:
         fps: instants a second.
+        sound: of its sources.
         pushed: (width, height) of each camera that capture nodes push, by name.
         holders: who pushes those.
         findings: what was found in the cameras' pictures.
@@ -107,15 +105,8 @@ class Rig:
             for camera, address in zip(definition.cameras, definition.addresses, strict=True)
             if camera.name in self._last and address.scheme == "push"
         }
-        sound = self._sound = None if give_sound is None else definition.sound
-        self._hearing: Hearing | None = None
-        if sound is not None and give_sound is not None:
-            offset_ns = self._offsets_ns.get(sound.camera or "", 0)
-            self._hearing = Hearing(sound.name, give_sound, self._timeline, self._wait_for_pictures, offset_ns)
-            if sound.camera is not None and sound.camera not in self._last:
-                self._hearing.gone("its camera is not used")
-        self._ears = {name: ear for name in self._names if (ear := self._ear(name, listeners)) is not None}
-        self._readers = readers(definition, self._names, self, self._timeline, self._ears, self._hearing)
+        self.sound = RigSound(definition, self._names, self._timeline, give_sound, listeners, self._wait_for_pictures)
+        self._readers = readers(definition, self._names, self, self._timeline, self.sound)
 
     @property
     def now_ns(self) -> int:
@@ -182,13 +173,8 @@ class Rig:
                         self._queue(self._synchroniser.poll(self._clock_ns()))
                 if self._stopped or not self._instants:
                     return
-                if self._paced:
-                    self._stale += len(self._instants) - 1
-                    instant = self._instants.pop()
-                    self._instants.clear()
-                else:
-                    instant = self._instants.popleft()
-                    self._change.notify_all()
+                instant = self._instants.popleft()
+                self._change.notify_all()  # a reader of an unpaced file may wait for room
             yield instant
 
     def note_delivery(self, instant: Instant) -> int:
@@ -207,10 +193,6 @@ class Rig:
         with self._change:
             self._stale += 1
 
-    def hears(self, camera: str) -> bool:
-        """Whether the camera's sound is wanted."""
-        return self._sound is not None and self._sound.camera == camera
-
     def sight(self, camera: str) -> BoardSight | None:
         """The camera's sight of the board, if one is looked for; a rig that trains looks for none."""
         return None
@@ -221,11 +203,6 @@ class Rig:
             if (wrong := self._synchroniser.time_faults()[camera]) is not None:
                 return f"its {wrong.words}: reload this page; until then its pictures are left out"
         return self.findings.complaint(camera)
-
-    def put_sound(self, frame: av.AudioFrame, capture_ns: int) -> None:
-        """Take sound that is pushed, recorded from `capture_ns` on."""
-        if self._sound is not None and (ear := self._ears.get(self._sound.camera or "")) is not None:
-            ear.put(frame, capture_ns)
 
     def genlock_epoch_ns(self, number: int) -> int:
         """When frame number 0 of a genlocked rig was taken; the first number asked about came just now."""
@@ -248,7 +225,7 @@ class Rig:
         cameras_read = [reader for reader in self._readers if isinstance(reader, Reader)]
         clocks = {reader.camera: (reader.clock, reader.connections) for reader in cameras_read}
         claims = self.holders.claims()
-        sound = None if self._hearing is None else self._hearing.fault()
+        sound = self.sound.fault()
         with self._change:
             now = self._clock_ns()
             states, counts = self._synchroniser.states(now), self._synchroniser.counts()
@@ -287,13 +264,6 @@ class Rig:
                 self.findings.poses,
             )
 
-    def _ear(self, camera: str, listeners: Mapping[str, CameraEar]) -> Ear | None:
-        """The taker of the sound that the camera's connection brings, if anything wants it."""
-        ears: list[Ear] = [listeners[camera]] if camera in listeners else []
-        if self._hearing is not None and self._sound is not None and self._sound.camera == camera:
-            ears.append(self._hearing)
-        return Ears(ears) if len(ears) > 1 else next(iter(ears), None)
-
     def _wait_for_pictures(self, capture_ns: int) -> None:
         """Sound of an unpaced file does not run ahead of the pictures, nor they of it."""
         with self._change:
@@ -304,11 +274,9 @@ class Rig:
 
     def _queue(self, instants: list[Instant]) -> None:
         self._instants.extend(instants)
-        if self._paced and len(self._instants) > 1:  # keep the newest alone, and free older pictures at once
-            self._stale += len(self._instants) - 1
-            newest = self._instants.pop()
-            self._instants.clear()
-            self._instants.append(newest)
+        while self._paced and len(self._instants) > 1:  # keep the newest alone, and free older pictures at once
+            self._instants.popleft()
+            self._stale += 1
         if instants:
             self._change.notify_all()
 
@@ -318,7 +286,7 @@ class Rig:
         known = [ns for ns in newest if ns is not None]
         if len(known) < len(newest) or len(self._instants) > _LEAD:
             return False
-        heard = capture_ns if self._hearing is None else self._hearing.reached_ns
+        heard = capture_ns if self.sound.hearing is None else self.sound.hearing.reached_ns
         return capture_ns - min(*known, heard, capture_ns) <= _LEAD * period_of(self.fps)
 
     def _is_over(self) -> bool:

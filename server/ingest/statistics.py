@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from streamlod.core.data.names import spoken
+from streamlod.server.ingest.sync.camera_track import CameraState, Counts
 from streamlod.server.ingest.sync.clock import ClockSource
 from streamlod.server.ingest.sync.pace import is_slow
-from streamlod.server.ingest.sync.synchroniser import CameraState, Counts
 from streamlod.server.ingest.sync.time_fault import TimeFault
 
 SLOW = "{:.0f} a second, but the rig wants {:g} pictures: give more light, or write a lower fps into the rig's file"

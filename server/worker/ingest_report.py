@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from streamlod.server.ingest.sync.synchroniser import CameraState
+from streamlod.server.ingest.sync.camera_track import CameraState
 from streamlod.server.ingest.sync.time_fault import TimeFault
 
 _SILENT_NS = 5_000_000_000  # of a camera whose connection stands: on a busy machine pictures stay away for seconds

@@ -7,8 +7,8 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from streamlod.server.ingest.statistics import CameraStatistics, Statistics
+from streamlod.server.ingest.sync.camera_track import CameraState, Counts
 from streamlod.server.ingest.sync.clock import ClockSource
-from streamlod.server.ingest.sync.synchroniser import CameraState, Counts
 
 
 def figures(

@@ -29,7 +29,7 @@ from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.keyframe import as_keyframe
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
-from streamlod.server.ingest.sync.synchroniser import CameraState
+from streamlod.server.ingest.sync.camera_track import CameraState
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.pipeline.stages.opened import open_job

@@ -21,6 +21,7 @@ from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.address import Address
 from streamlod.server.ingest.cameras.live_decoding import LiveDecoding
 from streamlod.server.ingest.cameras.opening import open_source
+from streamlod.server.ingest.cameras.picture_size import check_size, max_pixels
 from streamlod.server.ingest.cameras.reports import Reports, bytes_of, media_ns_of
 from streamlod.server.ingest.cameras.source_thread import SourceThread
 from streamlod.server.ingest.sound.listening import Ear
@@ -87,8 +88,9 @@ class Reader(SourceThread):
             stream.codec_context.thread_count = 1  # each further thread would delay pictures by one
             stream.codec_context.options = {"max_pixels": str(max_pixels(self._size))}
             width, height = stream.codec_context.width, stream.codec_context.height
-            if (height, width) != self._size:  # else it may be turned upright, as its pictures will tell
-                self._check_size(width, height)
+            # 0 is not known yet, and pictures of swapped sides may be turned upright, as they will tell
+            if width and height and (height, width) != self._size:
+                check_size(self.camera, (width, height), self._size)
             self.clock = CaptureClock(self._fps, expects_ntp=self._address.scheme in ("rtsp", "rtsps"))
             self.connections += 1
             if not self._address.is_live:
@@ -115,12 +117,6 @@ class Reader(SourceThread):
             if self._stopping.is_set() or found is None:
                 return
             self._deliver(frame, found)
-
-    def _check_size(self, width: int, height: int) -> None:
-        """Refuse another size than the calibrated one; 0 stands for one that is not known yet."""
-        if width and height and (width, height) != self._size:
-            fault = f"delivers {width}x{height}, but is calibrated for {self._size[0]}x{self._size[1]}"
-            raise InputError(f"camera {self.camera}", fault)
 
     def _frames(
         self, container: av.container.InputContainer, stream: av.video.stream.VideoStream, clock: CaptureClock
@@ -149,14 +145,9 @@ class Reader(SourceThread):
         return CaptureTime(capture, ClockSource.FILE, 0)
 
     def _deliver(self, frame: av.VideoFrame, found: CaptureTime) -> None:
-        self._check_size(*upright_size(frame))
+        check_size(self.camera, upright_size(frame), self._size)
         load = one_at_a_time(partial(upright, frame))
         self._sink.put(Picture(self.camera, found.capture_ns, found.source, found.error_ns, load))
-
-
-def max_pixels(size: tuple[int, int]) -> int:
-    """Largest picture that a decoder may allocate for a camera of (width, height): padded to whole blocks."""
-    return (size[0] + 64) * (size[1] + 64)
 
 
 def _timecode(frame: av.VideoFrame, fps: float) -> int | None:

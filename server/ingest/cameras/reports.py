@@ -40,11 +40,11 @@ class Reports:
         return abs((report[1] - report[0]) - (last[1] - last[0])) > 1_000_000
 
 
-def media_ns_of(frame: av.frame.Frame) -> int | None:
-    """A frame's time on its connection's own scale, in nanoseconds."""
-    if frame.pts is None or frame.time_base is None:
+def media_ns_of(timed: av.frame.Frame | av.Packet[Any]) -> int | None:
+    """The time of a frame or a packet on its connection's own scale, in nanoseconds."""
+    if timed.pts is None or timed.time_base is None:
         return None
-    return frame.pts * 1_000_000_000 * frame.time_base.numerator // frame.time_base.denominator
+    return timed.pts * 1_000_000_000 * timed.time_base.numerator // timed.time_base.denominator
 
 
 def bytes_of(buffer: Any) -> bytes:
@@ -54,11 +54,10 @@ def bytes_of(buffer: Any) -> bytes:
 
 def _report(packet: av.Packet[Any]) -> tuple[int, int] | None:
     """(presentation time, sender's wall clock) in nanoseconds, if the sender reports them."""
-    if packet.pts is None or packet.time_base is None or not packet.has_sidedata("prft"):
+    if (media_ns := media_ns_of(packet)) is None or not packet.has_sidedata("prft"):
         return None
     for data in packet.iter_sidedata():
         raw = bytes_of(data)
         if str(data.data_type) == "prft" and len(raw) >= 8:
-            media = packet.pts * 1_000_000_000 * packet.time_base.numerator // packet.time_base.denominator
-            return media, struct.unpack_from("<q", raw)[0] * 1000
+            return media_ns, struct.unpack_from("<q", raw)[0] * 1000
     return None

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import threading
-import time
+from collections import deque
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
+from itertools import islice
 
 import av
 
@@ -16,6 +17,7 @@ from streamlod.core.data.video.upright import upright
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.address import Address
 from streamlod.server.ingest.cameras.opening import open_source
+from streamlod.server.ingest.finding.at_once import at_once
 
 _LOOK_SECONDS = 15.0  # for all of them
 _MAX_PIXELS = 7680 * 4320
@@ -38,44 +40,29 @@ def look_through(sources: Sequence[Address], fps: float, size: tuple[int, int] |
     Args:
         fps, size: asked of webcams; (width, height), or None for their default.
     """
-    looks = [_Looking(source, fps, size) for source in sources]
-    for each in looks:
-        each.start()
-    end = time.monotonic() + _LOOK_SECONDS
-    for each in looks:
-        each.join(max(0.0, end - time.monotonic()))
-    return [each.found for each in looks]
+    found = [Glance(None, "gave no picture in time")] * len(sources)
 
-
-class _Looking(threading.Thread):
-    """Looks through one camera; one that hangs is left behind, as a daemon."""
-
-    def __init__(self, source: Address, fps: float, size: tuple[int, int] | None) -> None:
-        super().__init__(daemon=True, name="look")
-        self._source, self._fps, self._size = source, fps, size
-        self.found = Glance(None, "gave no picture in time")
-
-    def run(self) -> None:
+    def look(number: int) -> None:
         try:
-            self.found = self._first()
+            found[number] = _first(sources[number], fps, size)
         except InputError as error:
-            self.found = Glance(None, error.fault)
+            found[number] = Glance(None, error.fault)
         except (av.FFmpegError, OSError, ValueError) as error:
-            self.found = Glance(None, getattr(error, "strerror", None) or str(error))
+            found[number] = Glance(None, getattr(error, "strerror", None) or str(error))
 
-    def _first(self) -> Glance:
-        with ExitStack() as stack:
-            container = open_source(self._source, self._fps, self._size, stack)
-            stream = pictures_of(container)
-            if stream is None:
-                raise InputError("source", "holds no pictures, only other streams")
-            stream.codec_context.options = {"max_pixels": str(_MAX_PIXELS)}
-            last: av.VideoFrame | None = None
-            for number, frame in enumerate(container.decode(stream)):
-                last = frame
-                if number >= _SKIPPED:
-                    break
-            if last is None:
-                raise InputError("source", "ended without a picture")
-            rate = stream.average_rate or stream.guessed_rate
-            return Glance(upright(last), fps=float(rate) if rate and _RATES[0] <= rate <= _RATES[1] else None)
+    at_once([partial(look, number) for number in range(len(sources))], _LOOK_SECONDS)
+    return list(found)  # as they are now: a camera that hangs may come back later
+
+
+def _first(source: Address, fps: float, size: tuple[int, int] | None) -> Glance:
+    with ExitStack() as stack:
+        container = open_source(source, fps, size, stack)
+        stream = pictures_of(container)
+        if stream is None:
+            raise InputError("source", "holds no pictures, only other streams")
+        stream.codec_context.options = {"max_pixels": str(_MAX_PIXELS)}
+        last = deque(islice(container.decode(stream), _SKIPPED + 1), maxlen=1)
+        if not last:
+            raise InputError("source", "ended without a picture")
+        rate = stream.average_rate or stream.guessed_rate
+        return Glance(upright(last[0]), fps=float(rate) if rate and _RATES[0] <= rate <= _RATES[1] else None)

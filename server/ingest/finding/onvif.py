@@ -48,9 +48,7 @@ class NetworkCamera:
     service: str | None = None
 
 
-def find_network_cameras(
-    group: tuple[str, int] = GROUP, seconds: float = SECONDS, most: int = _MAX_CAMERAS
-) -> tuple[NetworkCamera, ...]:
+def find_network_cameras(group: tuple[str, int], seconds: float, most: int = _MAX_CAMERAS) -> tuple[NetworkCamera, ...]:
     """The cameras that answer within `seconds`, in the order of their addresses; none where there is no network.
 
     Args:

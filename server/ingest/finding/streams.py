@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from urllib.parse import quote, urlsplit, urlunsplit
 from xml.etree import ElementTree as Xml
 from xml.sax.saxutils import escape
 
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.address import parse_address
+from streamlod.server.ingest.finding.at_once import at_once
 from streamlod.server.ingest.finding.onvif import NetworkCamera
 from streamlod.server.ingest.finding.soap import Login, ask, is_service_of
 
@@ -54,12 +54,7 @@ def find_streams(cameras: Sequence[NetworkCamera], login: Login | None, seconds:
         except InputError as error:
             offers[camera] = Offer(camera, fault=error.fault)
 
-    threads = [threading.Thread(target=look, args=(camera,), daemon=True, name="onvif") for camera in cameras]
-    for thread in threads:
-        thread.start()
-    end = time.monotonic() + seconds
-    for thread in threads:
-        thread.join(max(0.0, end - time.monotonic()))
+    at_once([partial(look, camera) for camera in cameras], seconds)
     return [offers[camera] for camera in cameras]
 
 

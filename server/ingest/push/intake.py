@@ -13,7 +13,7 @@ from streamlod.core.arrays import UInt8
 from streamlod.core.data.announced import AnnouncedPicture, announced_picture
 from streamlod.core.data.pictures import decode
 from streamlod.core.errors import InputError
-from streamlod.server.ingest.cameras.reader import max_pixels
+from streamlod.server.ingest.cameras.picture_size import check_size, max_pixels
 from streamlod.server.ingest.push.message import SOUND_CODECS, Codec, PushMessage
 from streamlod.server.ingest.push.sound import PushedSound
 from streamlod.server.ingest.rig import Rig
@@ -77,13 +77,13 @@ class Intake:
     def _hear(self, message: PushMessage) -> None:
         """Sound counts only beside pictures, so that it is of who holds the camera."""
         camera = message.camera
-        if not self._rig.hears(camera):
+        if not self._rig.sound.hears(camera):
             raise InputError(f"camera {camera}", "is not the one whose sound the rig wants")
         if not self._rig.holders.holds(camera, self):
             return
         sound = self._sounds.setdefault(camera, PushedSound(camera))
         for frame, capture_ns in sound.decoded(message, self._rig.now_ns):
-            self._rig.put_sound(frame, capture_ns)
+            self._rig.sound.put(frame, capture_ns)
 
     def wanted(self) -> dict[str, Any]:
         """The rig's rate as `fps`, and `cameras` that are pushed: name, width, height, whether one is `taken`,
@@ -91,7 +91,7 @@ class Intake:
         walk is recorded what it sees of the `board`."""
         rig, held = self._rig, self._rig.holders.is_held
         cameras = [
-            {"name": name, "width": width, "height": height, "taken": held(name), "sound": rig.hears(name)}
+            {"name": name, "width": width, "height": height, "taken": held(name), "sound": rig.sound.hears(name)}
             | ({"complaint": said} if (said := rig.complaint(name)) else {})
             | ({} if (sight := rig.sight(name)) is None else {"board": asdict(sight)})
             for name, (width, height) in rig.pushed.items()
@@ -127,8 +127,7 @@ class Intake:
         except av.FFmpegError as error:
             raise InputError(f"camera {message.camera}", "sent H.264 that does not decode") from error
         for frame in frames:
-            if (frame.width, frame.height) != size:
-                raise _wrong_size(message.camera, (frame.width, frame.height), size)
+            check_size(message.camera, (frame.width, frame.height), size)
             if found is None or frame.pts is None:
                 continue
 
@@ -145,14 +144,8 @@ def _announced(message: PushMessage, size: tuple[int, int]) -> AnnouncedPicture:
     picture = announced_picture(message.body)
     if picture is None:
         raise InputError(f"camera {message.camera}", f"sent no {message.codec.upper()} picture, or part of one")
-    if picture.size != size:
-        raise _wrong_size(message.camera, picture.size, size)
+    check_size(message.camera, picture.size, size)
     return picture
-
-
-def _wrong_size(camera: str, found: tuple[int, int], size: tuple[int, int]) -> InputError:
-    fault = f"delivers {found[0]}x{found[1]}, but is calibrated for {size[0]}x{size[1]}"
-    return InputError(f"camera {camera}", fault)
 
 
 def _pixels(picture: AnnouncedPicture, camera: str) -> UInt8:

@@ -6,54 +6,23 @@ differences of `now_ns` are used, so a step of a wall clock shows as a jump of c
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from statistics import median_low
 
 from streamlod.core.camera.grid import Grid, best_phase, period_of, phase_of
+from streamlod.server.ingest.sync.camera_track import CameraState, CameraTrack, Counts
 from streamlod.server.ingest.sync.picture import Picture
-from streamlod.server.ingest.sync.time_fault import TimeFault, TimeWatch
+from streamlod.server.ingest.sync.time_fault import TimeFault
 
 _SECOND_NS = 1_000_000_000
 _AHEAD_NS = _SECOND_NS  # a picture this much earlier than its camera rig's usual delay has a wrong time
 _BEHIND_NS = 10 * _SECOND_NS
 _STRAYS = 3  # wrong times in a row of most cameras: the clock they share was stepped
-_HELD = 8  # pictures of a camera kept until all cameras have come
 _SMOOTHING = 0.1
 _MAX_PATIENCE = 8  # times the deadline that slow cameras are waited for
 _SETTLED = 0.8  # length of the smoothed phase vector from which it is acted on
 _OFF_CENTRE, _GAIN = 0.35, 0.1  # parts of a period: when the grid is moved, and what it must be good for
-
-
-class CameraState(StrEnum):
-    """ok; late (delivers too late, or with wrong times); lost (delivers nothing)."""
-
-    OK = "ok"
-    LATE = "late"
-    LOST = "lost"
-
-
-@dataclass(slots=True)
-class Counts:
-    """Counts of one camera's pictures, by what became of them.
-
-    Attributes:
-        received: that came.
-        late: that came after their instant had closed.
-        duplicate: that shared an instant with a nearer one.
-        stray: whose capture time is impossible.
-        missing: instants that closed without one.
-        skew_ns: smoothed difference between capture and instant time.
-    """
-
-    received: int = 0
-    late: int = 0
-    duplicate: int = 0
-    stray: int = 0
-    missing: int = 0
-    skew_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,23 +38,6 @@ class Instant:
     number: int
     capture_ns: int
     pictures: tuple[Picture | None, ...]
-
-
-@dataclass(slots=True)
-class _Track:
-    """State of one camera."""
-
-    counts: Counts = field(default_factory=Counts)
-    arrived_ns: int | None = None  # None: lost
-    newest: int | None = None  # instant
-    delay_ns: int = 0
-    lag_ns: float = 0.0  # smoothed delay beyond the cameras' median
-    strays: int = 0
-    is_late: bool = False
-    is_back: bool = False  # after a silence; what is known of its phase may hold no more
-    turn: complex = 0
-    times: TimeWatch = field(default_factory=TimeWatch)
-    held: deque[Picture] = field(default_factory=lambda: deque(maxlen=_HELD))
 
 
 @dataclass(slots=True)
@@ -123,7 +75,7 @@ class Synchroniser:
         lost_ns: int = _SECOND_NS,
         gather_ns: int = 10 * _SECOND_NS,
     ) -> None:
-        self._tracks = {name: _Track() for name in cameras}
+        self._tracks = {name: CameraTrack() for name in cameras}
         if not cameras or len(self._tracks) < len(cameras):
             raise ValueError("cameras need names, each its own")
         self._quorum = len(cameras) if quorum is None else quorum
@@ -151,7 +103,7 @@ class Synchroniser:
 
     def states(self, now_ns: int) -> dict[str, CameraState]:
         """The state of each camera."""
-        return {name: self._state(track, now_ns) for name, track in self._tracks.items()}
+        return {name: track.state(now_ns, self._lost_ns) for name, track in self._tracks.items()}
 
     def silences_ns(self, now_ns: int) -> dict[str, int | None]:
         """How long no picture of each camera has come; None before the first, and after it has gone."""
@@ -183,7 +135,7 @@ class Synchroniser:
         self._now_ns = now_ns
         ready = self._close_due(now_ns)
         track.counts.received += 1
-        track.is_back = track.is_back or self._state(track, now_ns) is CameraState.LOST
+        track.is_back = track.is_back or track.state(now_ns, self._lost_ns) is CameraState.LOST
         track.arrived_ns = now_ns
         track.delay_ns = now_ns - picture.capture_ns
         is_stray = self._grid is not None and self._is_stray(track, now_ns)
@@ -216,20 +168,15 @@ class Synchroniser:
         ready = [] if self._grid or self._began_ns is None else self._begin(self._began_ns + self._gather_ns)
         return ready + self._flush(now_ns)
 
-    def _state(self, track: _Track, now_ns: int) -> CameraState:
-        if track.arrived_ns is None or now_ns - track.arrived_ns > self._lost_ns:
-            return CameraState.LOST
-        return CameraState.LATE if track.is_late else CameraState.OK
-
-    def _alive(self) -> list[_Track]:
+    def _alive(self) -> list[CameraTrack]:
         """Cameras that are waited for: they delivered lately, with plausible times."""
         return [
             track
             for track in self._tracks.values()
-            if self._state(track, self._now_ns) is not CameraState.LOST and track.strays < _STRAYS
+            if track.state(self._now_ns, self._lost_ns) is not CameraState.LOST and track.strays < _STRAYS
         ]
 
-    def _patience(self, alive: list[_Track]) -> int:
+    def _patience(self, alive: list[CameraTrack]) -> int:
         """How long an instant stays open after its first picture; longer where a camera is always late."""
         lags = [track.lag_ns for track in alive]
         wanted = max(lags) - min(lags) + self._deadline_ns / 2 if lags else 0
@@ -258,7 +205,7 @@ class Synchroniser:
                 self._place(picture, now_ns)
         return self._close_due(now_ns)
 
-    def _welcome(self, track: _Track, picture: Picture, now_ns: int) -> list[Instant]:
+    def _welcome(self, track: CameraTrack, picture: Picture, now_ns: int) -> list[Instant]:
         """Move the grid at once for a camera that came back with another phase, before its pictures are paired.
 
         Moved only once the phase is smoothed, a camera's pictures would change instants after they had been given out.
@@ -275,10 +222,10 @@ class Synchroniser:
         for track in self._tracks.values():
             track.newest, track.strays, track.turn, track.is_back = None, 0, 0, False
 
-    def _is_off(self, track: _Track) -> bool:
+    def _is_off(self, track: CameraTrack) -> bool:
         return not self._delay_ns - _AHEAD_NS <= track.delay_ns <= self._delay_ns + _BEHIND_NS
 
-    def _is_stray(self, track: _Track, now_ns: int) -> bool:
+    def _is_stray(self, track: CameraTrack, now_ns: int) -> bool:
         """Whether the newest picture's time is impossible, compared with all cameras; follows slow changes of delay."""
         most = (now_ns - self._followed_ns) // 10  # delays change slowly; do not follow a clock that runs away
         self._followed_ns = now_ns
@@ -296,7 +243,7 @@ class Synchroniser:
 
     def _restart_if_all_strayed(self, now_ns: int) -> list[Instant]:
         """Start a new grid when most cameras agree that their common clock was stepped."""
-        alive = [t for t in self._tracks.values() if self._state(t, now_ns) is not CameraState.LOST]
+        alive = [t for t in self._tracks.values() if t.state(now_ns, self._lost_ns) is not CameraState.LOST]
         strayed = [track for track in alive if track.strays >= _STRAYS]
         if 2 * len(strayed) <= len(alive):
             return []
@@ -368,7 +315,7 @@ class Synchroniser:
         instants = [self._close(number, now_ns) for number in sorted(self._open)]
         return [instant for instant in instants if instant is not None]
 
-    def _shift_if_off_centre(self, alive: list[_Track], now_ns: int) -> list[Instant]:
+    def _shift_if_off_centre(self, alive: list[CameraTrack], now_ns: int) -> list[Instant]:
         """Move the grid by part of a period when a camera's pictures lie near a boundary and need not.
 
         Open instants close first, so that every picture stays in the instant nearest to it.

@@ -2,8 +2,8 @@
 
 from streamlod.server.cli.capture_times import judged_times
 from streamlod.server.ingest.statistics import CameraStatistics, Statistics
+from streamlod.server.ingest.sync.camera_track import CameraState, Counts
 from streamlod.server.ingest.sync.clock import ClockSource
-from streamlod.server.ingest.sync.synchroniser import CameraState, Counts
 from streamlod.server.ingest.sync.time_fault import TimeFault
 
 

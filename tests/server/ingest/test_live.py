@@ -16,8 +16,8 @@ import pytest
 from streamlod.core.frames import FrameSet
 from streamlod.server.ingest.live import LiveDataset, open_live
 from streamlod.server.ingest.statistics import Statistics
+from streamlod.server.ingest.sync.camera_track import CameraState
 from streamlod.server.ingest.sync.clock import ClockSource
-from streamlod.server.ingest.sync.synchroniser import CameraState
 from tests.server.ingest.rig import (
     FPS,
     NEEDS_FFMPEG,

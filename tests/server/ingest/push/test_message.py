@@ -42,9 +42,9 @@ from streamlod.server.ingest.push.message import (
 )
 from streamlod.server.ingest.push.relay import RelayedIntake, listening
 from streamlod.server.ingest.rig import Rig
+from streamlod.server.ingest.sync.camera_track import CameraState
 from streamlod.server.ingest.sync.clock import ClockSource
 from streamlod.server.ingest.sync.picture import Picture
-from streamlod.server.ingest.sync.synchroniser import CameraState
 from streamlod.server.worker.ingest_report import complaint
 from tests.server.ingest.push.serving import relayed, serving_push
 from tests.server.ingest.rig import FPS, HEIGHT, WIDTH, burnt, number_of, write_definition

@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from streamlod.server.ingest.sync.camera_track import CameraState
 from streamlod.server.ingest.sync.clock import ClockSource
 from streamlod.server.ingest.sync.picture import Picture
-from streamlod.server.ingest.sync.synchroniser import CameraState, Instant, Synchroniser
+from streamlod.server.ingest.sync.synchroniser import Instant, Synchroniser
 from streamlod.server.ingest.sync.time_fault import TimeFault
 
 MS = 1_000_000

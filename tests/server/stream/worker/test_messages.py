@@ -8,7 +8,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from streamlod.server.ingest.sync.synchroniser import CameraState
+from streamlod.server.ingest.sync.camera_track import CameraState
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
