@@ -20,6 +20,7 @@ from streamlod.server.ingest.push.relay import listening
 from streamlod.server.ingest.rig import Rig
 from streamlod.server.ingest.sound.recorder import SoundRecorder
 from streamlod.server.ingest.statistics import SLOW, trouble_of
+from streamlod.server.ingest.sync.camera_track import CameraState
 from streamlod.server.ingest.sync.pace import is_slow
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import Instant
