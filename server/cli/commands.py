@@ -150,6 +150,7 @@ def playable(path: Path) -> Path:
 def serve(settings: Settings, streams: tuple[StreamSpec, ...], read_settings: Callable[[], Settings]) -> NoReturn:
     """Serve until told to stop, which ends the process; SIGHUP calls `read_settings`."""
     from streamlod.core.render import select
+    from streamlod.server.pipeline.checks import check_job
     from streamlod.server.pipeline.recorded import streamed_packets
     from streamlod.server.service.ending import end_process
     from streamlod.server.service.run import serve as run
@@ -161,6 +162,8 @@ def serve(settings: Settings, streams: tuple[StreamSpec, ...], read_settings: Ca
                 raise InputError(path, "does not exist")
         if stream.play is not None:
             streamed_packets(stream.play)
+        if job is not None:
+            check_job(job)
         if job is not None and job.device == "cuda":
             select(job.device)  # a GPU that was asked for is never replaced by the CPU in silence
     with suppress(KeyboardInterrupt):  # the signal that ended it, raised again after an orderly end

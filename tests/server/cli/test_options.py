@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,6 +10,8 @@ import typer
 from typer import BadParameter
 from typer.testing import CliRunner
 
+from streamlod.core.errors import InputError
+from streamlod.server.cli.main import app as commands
 from streamlod.server.cli.options import TRAINING, fields_in, takes
 
 
@@ -68,3 +71,14 @@ def test_settings_that_are_given_in_several_options_all_count(arguments: list[st
 
     assert CliRunner().invoke(app, arguments).exit_code == 0
     assert seen["set"] == expected
+
+
+@pytest.mark.parametrize("command", ["file", "serve"])
+def test_a_setting_of_the_method_that_is_none_is_refused_at_once(command: str, tmp_path: Path) -> None:
+    """With one sentence, wherever it is given: the service does not start, for a stream to fail later."""
+    config = tmp_path / "streamlod.toml"
+    config.write_text('[[streams]]\nsynthetic = {cameras = 3}\nset = {"keyframe.stps" = 3}\nstart = false\n')
+    given = ["--config", str(config)] if command == "file" else ["--synthetic", "cameras=3", "--set", "keyframe.stps=3"]
+    refused = CliRunner().invoke(commands, ["serve", "--port", "0", *given])
+    assert isinstance(refused.exception, InputError), refused.output
+    assert str(refused.exception).startswith("setting 'keyframe.stps': unknown; did you mean keyframe.steps")
