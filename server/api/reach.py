@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 from streamlod.core.errors import InputError
 from streamlod.server.auth.gate import Grant, Right
 from streamlod.server.http.networks import is_reachable
-from streamlod.server.ingest.cameras.address import local_file
+from streamlod.server.ingest.cameras.address import PUSH, local_file
 from streamlod.server.pipeline.job import POINT_METHODS
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
@@ -83,7 +83,7 @@ def _check_rig(rig: dict[str, Any], settings: Settings, grant: Grant) -> None:
 
 
 def _check_source(name: str, source: str, settings: Settings, grant: Grant) -> None:
-    if source == "push:" or source.startswith("push://"):
+    if source.startswith(PUSH):
         return
     path = local_file(source)
     if path is not None:

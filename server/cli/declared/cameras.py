@@ -84,10 +84,15 @@ def rig(
     if len(given) == 1 and given[0].endswith(".json"):
         if sound is not None:
             raise InputError("--sound", f"is for a new rig; write it into the field sound of {given[0]}")
+        for name, value in {"phones": phones or None, "size": size, "fps": fps}.items():
+            if value is not None:
+                raise InputError(f"--{name}", f"is for a new rig; change {given[0]}, or write a new one")
         settings = chosen_settings(config, host=host, port=port, tokens=tokens, insecure=insecure or None)
         watch(Path(given[0]), record, seconds, settings, typer.echo, overwrite=overwrite)
     elif record is not None:
         raise InputError("--record", "records the cameras of a rig.json; write that first, and give it")
+    elif seconds is not None:
+        raise InputError("--seconds", "is for a rig.json that is shown or recorded; write that first, and give it")
     else:
         wanted = None if size is None else picture_size(size)
         find(given, out, phones, wanted, fps, typer.echo, sound=sound, login=_login(login), overwrite=overwrite)

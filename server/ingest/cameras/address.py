@@ -12,6 +12,7 @@ from streamlod.core.errors import InputError
 LISTEN_SECONDS = 5.0  # then the port is opened again, so that a reader can be stopped
 OPEN_SECONDS = 10.0
 SILENCE_SECONDS = 8.0  # a connection without data for so long counts as dead
+PUSH = "push:"  # the source of a camera that a phone or capture node pushes
 CAMERA_NAME = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}"  # pattern of the name of a rig's camera
 CAMERA_NAME_WORDS = "1 to 64 letters, digits, _, . or -, the first a letter or digit"
 _MAX_LENGTH = 2048
@@ -86,8 +87,10 @@ def parse_address(source: str) -> Address:
         raise InputError(
             f"source {source!r:.80}", f"must be a URL or a path of 1 to {_MAX_LENGTH} printable characters"
         )
-    if source == "push:":
-        return _push()
+    if source.startswith(PUSH):
+        if source not in (PUSH, f"{PUSH}//"):
+            raise InputError(f"source {source!r:.80}", f"says more than {PUSH}; leave that out, as who films says it")
+        return Address("", "push")
     path = local_file(source)
     if path is not None:
         return Address(str(path.absolute()), "file", options={"protocol_whitelist": "file"})
@@ -98,12 +101,10 @@ def parse_address(source: str) -> Address:
         raise InputError(f"source {source!r:.80}", f"is not a URL ({error})") from error
     base, _, mode = parts.scheme.partition("+")
     listens = mode == "listen" and base in _LISTENING
-    if (mode and not listens) or base not in {*_PROTOCOLS, *_DEVICES, "push", "srt"}:
+    if (mode and not listens) or base not in {*_PROTOCOLS, *_DEVICES, "srt"}:
         raise InputError(f"source {source!r:.80}", f"has an unknown scheme; use {SCHEMES}")
-    if base == "push":
-        return _push()
     if base in _DEVICES:
-        return _device(source, base, parts.path)
+        return _device(source, base)
     if not place:
         raise InputError(f"source {source!r:.80}", "names no host")
     url = source.replace("+listen", "", 1) if listens else source
@@ -123,7 +124,7 @@ def local_file(source: str) -> Path | None:
     Raises:
         InputError: a file URL of another machine, or with parts that no file has.
     """
-    if source == "push:":
+    if source.startswith(PUSH):
         return None
     if not source.lower().startswith("file:/"):
         return Path(source) if "://" not in source else None
@@ -146,12 +147,9 @@ def webcam_options(fps: float, size: tuple[int, int] | None) -> dict[str, str]:
     return options if size is None else options | {"video_size": f"{size[0]}x{size[1]}"}
 
 
-def _push() -> Address:
-    return Address("", "push")
-
-
-def _device(source: str, scheme: str, path: str) -> Address:
+def _device(source: str, scheme: str) -> Address:
     form, fault = _DEVICES[scheme]
+    _, _, path = source.partition("://")  # no host before it, and no options behind: nothing would heed them
     if not form.fullmatch(path):
         raise InputError(f"source {source!r:.80}", fault)
     return Address(path if scheme == "v4l2" else path[1:], scheme, format=scheme)

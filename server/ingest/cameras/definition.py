@@ -33,7 +33,7 @@ from streamlod.core.errors import InputError
 from streamlod.core.field_faults import first_fault, matching
 from streamlod.core.frames import PointCloud
 from streamlod.core.options import MAX_CAMERAS
-from streamlod.server.ingest.cameras.address import CAMERA_NAME, CAMERA_NAME_WORDS, Address, parse_address
+from streamlod.server.ingest.cameras.address import CAMERA_NAME, CAMERA_NAME_WORDS, PUSH, Address, parse_address
 from streamlod.server.ingest.cameras.sound_source import SoundSource, choose_sound
 
 _LOG = logging.getLogger(__name__)
@@ -54,7 +54,7 @@ class _CameraEntry(_Strict):
     width: int | None = Field(default=None, ge=1, le=MAX_SIDE)
     height: int | None = Field(default=None, ge=1, le=MAX_SIDE)
     intrinsics: tuple[_Row3, _Row3, _Row3] | None = None
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    distortion: tuple[float, float, float, float, float] | None = None
     world_to_camera: tuple[_Row4, _Row4, _Row4, _Row4] | None = None
     offset_ms: float = Field(default=0.0, ge=-_MAX_OFFSET_MS, le=_MAX_OFFSET_MS)
 
@@ -232,8 +232,8 @@ def _sound(path: Path, file: _File, addresses: tuple[Address, ...]) -> SoundSour
 
 
 def _beside(path: Path, source: str) -> str:
-    is_relative = source and "://" not in source and source != "push:" and not source.lower().startswith("file:/")
-    return str(path.parent / source) if is_relative else source
+    is_url = "://" in source or source.startswith(PUSH) or source.lower().startswith("file:/")
+    return str(path.parent / source) if source and not is_url else source
 
 
 def _camera(path: Path, entry: _CameraEntry) -> Camera:
@@ -246,12 +246,12 @@ def _camera(path: Path, entry: _CameraEntry) -> Camera:
         np.array(entry.world_to_camera, np.float64),
         entry.width,
         entry.height,
-        np.array(entry.distortion, np.float64),
+        np.array(entry.distortion or np.zeros(5), np.float64),
     )
 
 
 def _known(path: Path, entry: _CameraEntry, known: dict[str, Camera]) -> Camera:
-    if entry.intrinsics is not None or entry.world_to_camera is not None:
+    if (entry.intrinsics, entry.distortion, entry.world_to_camera) != (None, None, None):
         raise InputError(path, f"camera {entry.name} is described here and in the calibration; leave one out")
     if entry.name not in known:
         raise InputError(path, f"camera {entry.name} is not in the calibration folder, which has {', '.join(known)}")

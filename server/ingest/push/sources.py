@@ -45,6 +45,8 @@ def find_cameras(
             raise InputError(f"camera {name}", "is named twice")
         if isinstance(place, Path) and not pictures_in(place):
             raise InputError(place, "holds no JPEG or PNG picture")
+    if size is not None and not any(isinstance(place, Address) and place.scheme == "v4l2" for _, place in named):
+        raise InputError("size", "is asked of webcams, of which there is none; others are sent as they are")
     longest_ns = max(_length_ns(place, fps) for _, place in named) if repeats else None
     return tuple(CaptureCamera(name, place, fps, size, longest_ns) for name, place in named)
 

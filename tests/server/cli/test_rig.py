@@ -128,9 +128,16 @@ def test_what_cannot_be_a_rig_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "fault"),
-    [(["--login", "film"], "write USER:PASSWORD"), (["--login", "film:x", "a.mp4"], "write rtsp://USER:PASSWORD@")],
+    [
+        (["--login", "film"], "write USER:PASSWORD"),
+        (["--login", "film:x", "a.mp4"], "write rtsp://USER:PASSWORD@"),
+        (["earlier.json", "--phones", "2"], "--phones: is for a new rig; change earlier.json"),
+        (["earlier.json", "--size", "640x480"], "--size: is for a new rig"),
+        (["earlier.json", "--fps", "15"], "--fps: is for a new rig"),
+        (["a.mp4", "--seconds", "5"], "--seconds: is for a rig.json that is shown or recorded"),
+    ],
 )
-def test_a_login_that_is_none_is_refused(tmp_path: Path, arguments: list[str], fault: str) -> None:
+def test_options_that_would_do_nothing_are_refused(tmp_path: Path, arguments: list[str], fault: str) -> None:
     refused = CliRunner().invoke(app, ["rig", "--out", str(tmp_path / "rig.json"), *arguments])
     assert isinstance(refused.exception, InputError)
     assert fault in str(refused.exception)

@@ -44,9 +44,14 @@ def test_files_by_path_and_by_url(source: str, path: str) -> None:
         ("file://cam 02.mp4", "is no file of this machine"),
         ("file:///data/%00", "is no file of this machine"),
         ("file:///data/%ff.mp4", "is not a URL"),
+        ("push:phone1", "says more than push:; leave that out"),
+        ("push://10.0.0.7/phone1", "says more than push:; leave that out"),
+        ("v4l2:///dev/video0?fps=10", "names no camera; write v4l2:///dev/video0"),
+        ("v4l2://door/dev/video0", "names no camera; write v4l2:///dev/video0"),
+        ("alsa:///default#2", "names no microphone; write alsa:///default"),
     ],
 )
-def test_urls_that_are_no_file(source: str, fault: str) -> None:
+def test_what_is_no_address_or_says_what_nothing_heeds(source: str, fault: str) -> None:
     with pytest.raises(InputError, match=fault):
         parse_address(source)
 

@@ -78,6 +78,8 @@ def test_reads_cameras_sources_and_policy(tmp_path: Path) -> None:
         ({}, {"source": "udp+listen://a:1"}, "scheme"),
         ({}, {"source": "rtsp://a:99999/b"}, "URL"),
         ({}, {"source": ""}, "path"),
+        ({}, {"source": "push:phone1"}, "says more than push:"),
+        ({}, {"url": "rtsp://a/b"}, "url: is not known; leave it out"),
     ],
 )
 def test_refuses_in_one_sentence(tmp_path: Path, change: dict[str, Any], camera: dict[str, Any], message: str) -> None:
@@ -97,13 +99,17 @@ def test_refuses_what_is_no_definition(tmp_path: Path, text: str) -> None:
 def test_calibration_comes_from_a_data_set(tmp_path: Path) -> None:
     _scan(tmp_path, ["a", "b"])
     known = open_dataset(tmp_path / "scan").recording.cameras
-    entries = [{"name": known[1].name, "source": "push:"}]
+    entries: list[dict[str, Any]] = [{"name": known[1].name, "source": "push:"}]
     path = tmp_path / "rig.json"
     path.write_text(json.dumps({"fps": 30, "calibration": "scan", "cameras": entries}))
     definition = read_definition(path)
     np.testing.assert_array_equal(definition.cameras[0].world_to_camera, known[1].world_to_camera)
     path.write_text(json.dumps({"fps": 30, "calibration": "scan", "cameras": [{"name": "zz", "source": "push:"}]}))
     with pytest.raises(InputError, match="not in the calibration"):
+        read_definition(path)
+    entries = [entries[0] | {"distortion": [0.1, 0, 0, 0, 0]}]
+    path.write_text(json.dumps({"fps": 30, "calibration": "scan", "cameras": entries}))
+    with pytest.raises(InputError, match="is described here and in the calibration; leave one out"):
         read_definition(path)
 
 

@@ -71,6 +71,8 @@ def test_refuses_what_cannot_be_filmed(folder: Path, argument: str, fault: str) 
         find_cameras([argument.format(folder)], 30)
     with pytest.raises(InputError, match="twice"):
         find_cameras([str(folder), f"cam0={folder / 'cam0.ts'}"], 30)
+    with pytest.raises(InputError, match="size: is asked of webcams, of which there is none"):
+        find_cameras([str(folder)], 30, (640, 480))
 
 
 def test_pictures_come_at_their_pace_with_their_times(folder: Path) -> None:
