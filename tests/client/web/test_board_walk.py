@@ -18,7 +18,7 @@ pytestmark = pytest.mark.browser
 
 def written(file: Path, picture: UInt8) -> Path:
     """A grey picture as a fake camera's video."""
-    width, height = SIZE
+    height, width = picture.shape[:2]
     begin = f"YUV4MPEG2 W{width} H{height} F{FPS}:1 Ip A1:1 C420jpeg\nFRAME\n"
     file.write_bytes(begin.encode() + picture[..., 0].tobytes() + bytes([128]) * (width * height // 2))
     return file
