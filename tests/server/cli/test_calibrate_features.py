@@ -74,25 +74,25 @@ def test_cameras_begun_one_after_the_other_are_timed_by_what_they_heard(filmed: 
     pytest.importorskip("pycolmap", reason="calibration from features needs streamlod[features]")
     folder, seconds = tmp_path / "walk", 8
     folder.mkdir()
-    begins = {f"cam0{number}": begin for number, begin in enumerate((0.0, 1.2, 3.5, 0.6, 0.0))}
+    begins = {f"cam0{number}": begin for number, begin in enumerate((0.0, 1.2, 3.5, 0.0))}
     for number, (name, begin) in enumerate(begins.items()):
         with closing(read_video(filmed / f"{name}.mp4")) as pictures:
             light = next(pictures)[1].to_ndarray(format="rgb24")
         dark = np.zeros_like(light)
         lit = [light if begin + at / 10 >= 3.6 else dark for at in range(10 * seconds)]
-        sound = None if number == 4 else claps(begin, seconds, number, at=(5.1, 6.45, 6.8))
+        sound = None if number == 3 else claps(begin, seconds, number, at=(5.1, 6.45, 6.8))
         if sound is None:
             write_video(folder / f"{name}.mp4", lit, 10)
         else:
             write_sounding(folder / f"{name}.mp4", seconds, rate=RATE, pictures=lit, fps=10, sound=sound)
     done = CliRunner().invoke(app, ["calibrate", str(folder), "--features"])
     assert done.exit_code == 0, done.output
-    assert "offsets are those of what cam00, cam01, cam02 and cam03 heard, good to 3 ms a metre" in done.output
-    assert "of cam04 sound tells nothing" in done.output
+    assert "offsets are those of what cam00, cam01 and cam02 heard, good to 3 ms a metre" in done.output
+    assert "of cam03 sound tells nothing" in done.output
     frames = json.loads((folder / "transforms.json").read_text())["frames"]
     told = {each["file_path"]: each["time_offset"] for each in frames}
     late = np.array([told[f"{name}.mp4"] for name in begins])
-    assert late[:4] - late[0] == pytest.approx(list(begins.values())[:4], abs=0.005)
+    assert late[:3] - late[0] == pytest.approx(list(begins.values())[:3], abs=0.005)
 
 
 def test_a_lens_that_nothing_can_read_is_refused_before_it_is_written() -> None:
