@@ -90,12 +90,23 @@ def test_frames_are_those_of_the_usual_engine(name: str) -> None:
     assert abs(usual.psnr - warp.psnr) < 0.05
 
 
-def test_bytes_are_those_of_the_usual_engine_and_anchors_are_added() -> None:
-    usual, warp = ([run_of(name, engine) for name in CLIPS] for engine in ENGINES)
-    assert sum(run.size_bytes for run in warp) == pytest.approx(sum(run.size_bytes for run in usual), rel=0.02)
-    added = [sum(run.added for run in runs) for runs in (usual, warp)]
-    assert min(added) > 0
-    assert added[1] == pytest.approx(added[0], rel=0.2)
+@pytest.mark.parametrize(
+    ("names", "apart"),
+    [
+        ([name for name in CLIPS if name not in MINUTES], 0.1),  # of two kilobytes, which chance moves by a twentieth
+        pytest.param([*CLIPS], 0.02, marks=pytest.mark.slow),
+    ],
+)
+def test_bytes_are_those_of_the_usual_engine(names: list[str], apart: float) -> None:
+    usual, warp = (sum(run_of(name, engine).size_bytes for name in names) for engine in ENGINES)
+    assert warp == pytest.approx(usual, rel=apart)
+
+
+@pytest.mark.slow
+def test_anchors_are_added_as_by_the_usual_engine() -> None:
+    usual, warp = (sum(run_of(name, engine).added for name in CLIPS) for engine in ENGINES)
+    assert min(usual, warp) > 0
+    assert warp == pytest.approx(usual, rel=0.2)
 
 
 @pytest.mark.cuda
