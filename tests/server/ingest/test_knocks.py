@@ -126,6 +126,22 @@ def test_looking_takes_a_fiftieth_of_the_time() -> None:
     assert saved + 55 < images.looks < saved + 65
 
 
+@pytest.mark.long
+def test_a_knock_is_told_at_its_second_picture_although_there_is_little_time_to_look() -> None:
+    """Four cameras, a look at one of which takes a tenth of a second, so that there is time for one in five seconds."""
+    before, still = room.frames(RIG, 2)
+    turned = room.frames([_turned(camera, 2.0 * (number == KNOCKED)) for number, camera in enumerate(RIG)], 2)[1]
+    images = _Slow(before.images)
+    watch, told = Knocks(4, lambda: 10 * images.now), []
+    for frame in range(400):
+        images[:] = turned.images if frame >= 390 else still.images
+        watch.look(images, np.ones(4, np.bool_), AtOnce())
+        images.now += 0.01  # ten frames a second
+        told.append(watch.knocked.tolist())
+    assert not any(map(any, told[:391]))
+    assert told[391:] == [[number == KNOCKED for number in range(4)]] * 9
+
+
 def test_a_look_that_breaks_is_logged_once_and_ends_the_watch(caplog: pytest.LogCaptureFixture) -> None:
     picture = _film(RIG[:1], 0, 1)[0][0]
     turned = np.asarray(cv2.warpAffine(picture, cv2.getRotationMatrix2D((120, 67), 3, 1), (240, 134)), np.uint8)
