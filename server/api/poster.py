@@ -28,7 +28,8 @@ from streamlod.server.http.problems import Problem, problems
 from streamlod.server.http.public_address import base_of
 from streamlod.server.protocol.packets import Position
 from streamlod.server.stream.stream import Stream
-from streamlod.server.viewer.renderer import Grade, PictureRenderer, RenderedPicture, fitted
+from streamlod.server.viewer.grades import Grade
+from streamlod.server.viewer.renderer import PictureRenderer, RenderedPicture, fitted
 
 MAX_POSTER_PIXELS = 640 * 480
 _GRADE = Grade(1, 80)

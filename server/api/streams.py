@@ -30,6 +30,7 @@ from streamlod.server.pipeline.recorded import streamed_packets
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.protocol.packets import Position
 from streamlod.server.stream.bus import RetainedGroup
+from streamlod.server.stream.description import describe
 from streamlod.server.stream.stream import Stream
 from streamlod.server.stream.worker_stream import WorkerStream
 
@@ -63,7 +64,7 @@ async def list_streams(
     streams, grant = registry_of(request).streams, grant_of(request)
     names = [name for name in sorted(streams) if grant.allows(Right.READ, name) and (cursor is None or name > cursor)]
     page = names[:limit]
-    items = [StreamBody.model_validate(streams[name].describe()) for name in page]
+    items = [_body(streams[name]) for name in page]
     return StreamList(items=items, next_cursor=page[-1] if len(names) > limit else None)
 
 
@@ -85,14 +86,14 @@ async def create_stream(body: NewStream, request: Request, response: Response) -
             await _withdraw(registry, stream)
         raise Problem(409, no_room)
     response.headers.update({"Location": f"/v1/streams/{body.id}", **tag_headers(stream)})
-    return StreamBody.model_validate(stream.describe())
+    return _body(stream)
 
 
 @router.get("/{stream_id}", summary="A stream's state", dependencies=[need(Right.READ)])
 async def get_stream(stream: StreamOf, response: Response) -> StreamBody:
     """State, newest position, progress and figures of one stream. The ETag is that of its definition."""
     response.headers.update({**tag_headers(stream), "Cache-Control": "no-store"})
-    return StreamBody.model_validate(stream.describe())
+    return _body(stream)
 
 
 @router.get(
@@ -138,7 +139,7 @@ async def change_stream(
     with _refusals():
         await registry.change(stream, spec)
     response.headers.update(tag_headers(stream))
-    return StreamBody.model_validate(stream.describe())
+    return _body(stream)
 
 
 @control.delete(
@@ -185,7 +186,7 @@ async def start_stream(stream: WorkerStreamOf, request: Request) -> StreamBody:
         await registry_of(request).start_stream(stream)
     if no_room := await _until_placed(request, stream):
         raise Problem(409, no_room)
-    return StreamBody.model_validate(stream.describe())
+    return _body(stream)
 
 
 @control.post(
@@ -199,7 +200,7 @@ async def stop_stream(stream: WorkerStreamOf, request: Request) -> StreamBody:
     """Stop the worker; viewers stay connected and the recording stays."""
     with _refusals():
         await registry_of(request).stop_stream(stream)
-    return StreamBody.model_validate(stream.describe())
+    return _body(stream)
 
 
 @router.post(
@@ -259,6 +260,10 @@ async def get_manifest(
             "edges": registry.edges,
         }
     )
+
+
+def _body(stream: Stream) -> StreamBody:
+    return StreamBody.model_validate(describe(stream))
 
 
 async def _checked(make: Callable[[], StreamSpec], request: Request) -> StreamSpec:

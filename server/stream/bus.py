@@ -123,7 +123,7 @@ class Bus:
     async def read(self, first: Position, last: Position) -> list[StreamPacket]:
         """Packets of positions `first` to `last`, as far as they are retained, in order."""
         oldest = self.window.oldest
-        recorded = self.recording.segments if self.recording is not None else []
+        recorded = self._segments
         if not recorded or (oldest is not None and first >= oldest.position):
             return self.window.read(first, last)
         segments = [s for s in recorded if s.first <= last and s.last >= first]
@@ -139,10 +139,10 @@ class Bus:
     async def groups(self) -> list[RetainedGroup]:
         """All retained groups of pictures, oldest first."""
         found = {packets[0].position: _in_memory(packets) for packets in self.window.groups()}
-        segments = list(self.recording.segments) if self.recording else []
-        times = await asyncio.to_thread(lambda: [_filmed(s) for s in segments if s.first not in found])
+        segments = list(self._segments)
+        times = await asyncio.to_thread(lambda: {s.path: _filmed(s) for s in segments if s.first not in found})
         for s in segments:
-            held = found.get(s.first) or RetainedGroup(s.first, s.last, s.packets, s.size_bytes, None, *times.pop(0))
+            held = found.get(s.first) or RetainedGroup(s.first, s.last, s.packets, s.size_bytes, None, *times[s.path])
             found[s.first] = replace(held, begun_ns=s.begun_ns)
         return [found[first] for first in sorted(found)]
 
@@ -154,8 +154,7 @@ class Bus:
         Raises:
             InputError: they are too much for memory.
         """
-        segments = self.recording.segments if self.recording else []
-        recorded: dict[Position, GroupFile] = {s.first: s.path for s in segments if s.packets}
+        recorded: dict[Position, GroupFile] = {s.first: s.path for s in self._segments if s.packets}
         held: dict[Position, GroupFile] = {packets[0].position: packets for packets in self.window.groups()}
         if firsts is None:
             return recorded or held
@@ -165,9 +164,7 @@ class Bus:
     def oldest(self) -> Position | None:
         """First position that can be read."""
         places = [self.window.oldest.position] if self.window.oldest else []
-        if self.recording is not None:
-            places += [segment.first for segment in self.recording.segments[:1]]
-        return min(places, default=None)
+        return min([*places, *(segment.first for segment in self._segments[:1])], default=None)
 
     def key_after(self, position: Position) -> Position | None:
         """Position of the first retained keyframe after `position`."""
@@ -179,10 +176,11 @@ class Bus:
         return max((key for key in keys if key <= position), default=min(keys, default=None))
 
     def _keys(self) -> list[Position]:
-        keys = [group[0].position for group in self.window.groups()]
-        if self.recording is not None:
-            keys += [segment.first for segment in self.recording.segments]
-        return keys
+        return [group[0].position for group in self.window.groups()] + [segment.first for segment in self._segments]
+
+    @property
+    def _segments(self) -> list[Segment]:
+        return [] if self.recording is None else self.recording.segments
 
 
 def _in_memory(packets: list[StreamPacket]) -> RetainedGroup:
@@ -192,22 +190,18 @@ def _in_memory(packets: list[StreamPacket]) -> RetainedGroup:
 
 
 def _filmed(segment: Segment) -> tuple[int | None, int | None]:
-    return _filmed_in(segment.path, segment.first, segment.last)
+    """Times of the first and last packet of a recorded group, which is listed without where it cannot be read."""
+    try:
+        return _filmed_in(segment.path, segment.first, segment.last)
+    except (OSError, IndexError, InputError, BitstreamError):  # deleted meanwhile, or damaged
+        return None, None
 
 
 @lru_cache(maxsize=4096)
-def _filmed_in(path: Path, first: Position, last: Position) -> tuple[int | None, int | None]:
-    """Times of the first and last packet of a recorded group; kept, as a group of these positions never changes."""
-    try:
-        with SlodReader(path) as reader:
-            return reader.entries[0].time_ns, reader.entries[-1].time_ns
-    except (
-        OSError,
-        IndexError,
-        InputError,
-        BitstreamError,
-    ):  # deleted meanwhile, or damaged: the group is still listed
-        return None, None
+def _filmed_in(path: Path, first: Position, last: Position) -> tuple[int, int]:
+    """Times in a file; kept, as a group of these positions never changes."""
+    with SlodReader(path) as reader:
+        return reader.entries[0].time_ns, reader.entries[-1].time_ns
 
 
 def _read_segments(segments: list[Segment], first: Position, last: Position) -> list[StreamPacket]:

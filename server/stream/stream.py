@@ -143,36 +143,8 @@ class Stream:
         oldest, newest = self.bus.oldest, self.hub.newest
         if oldest is None or newest is None:
             return None
-        filmed = {"newest_time_ns": newest.info.time_ns}
-        return {"oldest": oldest.to_json(), "newest": newest.position.to_json(), **filmed}
-
-    def describe(self) -> dict[str, Any]:
-        """STREAM of docs/protocol.md."""
-        scene, newest = self.hub.scene, self.newest
-        return {
-            "id": self.id,
-            "name": self.id,
-            "incarnation": self.incarnation,
-            "source": self.source,
-            "loop": self.loop,
-            "sound": self.sound,
-            "state": self.state,
-            "detail": masked(self.detail),
-            "epoch": newest.epoch if newest else None,
-            "version": newest.version if newest else None,
-            "fps": scene.header.fps if scene else None,
-            "levels": self.levels,
-            "anchors": scene.anchor_count if scene else None,
-            "viewers": self.viewers,
-            "restarts": self.restarts,
-            "recording": self._recording_state(),
-            "progress": self.progress,
-            "report": self.report,
-            "ingest": masked(self.ingest),
-            "camera_pictures": sorted(self.camera_pictures),
-            "created_at": self.created_at.isoformat(timespec="seconds").replace("+00:00", "Z"),
-            "live_path": f"/v1/streams/{self.id}/live",
-        }
+        times = {"newest_time_ns": newest.info.time_ns}
+        return {"oldest": oldest.to_json(), "newest": newest.position.to_json(), **times}
 
     def now_ns(self) -> int:
         """Unix time of the clock that live cameras' packets carry."""
@@ -209,8 +181,8 @@ class Stream:
 
     def window_message(self) -> bytes:
         """A framed window event, at most once a second, otherwise nothing."""
-        now, window = time.monotonic(), self.window
-        if window is None or now - self._windowed_at < _WINDOW_SECONDS:
+        now = time.monotonic()
+        if now - self._windowed_at < _WINDOW_SECONDS or (window := self.window) is None:
             return b""
         self._windowed_at = now
         return text_frame(json.dumps(event("window", **window)))
@@ -240,8 +212,3 @@ class Stream:
             self.bus.recording.note(**changes)
         except StorageError as error:
             _LOG.warning("stream %s: %s", self.id, error)
-
-    def _recording_state(self) -> str:
-        if self.bus.recording is None or not self.bus.keeps:
-            return "off"
-        return self.bus.recording.fault or "on"

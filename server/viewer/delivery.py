@@ -82,7 +82,11 @@ class Delivery:
     def limit_rate(self, kilobytes_per_second: float | None) -> None:
         """Limit the rate, or with None send as fast as the connection allows."""
         self._throttle = Throttle(None if kilobytes_per_second is None else kilobytes_per_second * 1000)
-        self.free_at = 0.0  # monotonic time before which the rate would be exceeded
+
+    @property
+    def free_at(self) -> float:
+        """Monotonic time before which the rate would be exceeded."""
+        return self._throttle.free_at
 
     @property
     def position(self) -> Position | None:
@@ -144,7 +148,7 @@ class Delivery:
         self.blocked_seconds += now - begin
         self.receiver.sent += size
         self.counters.sent_bytes += size
-        self.free_at = now + self._throttle.spend(size, now)
+        self._throttle.spend(size, now)
 
     async def enter(self, epoch: int) -> None:
         """Tell the viewer which epoch the packets that follow belong to, where that is another one."""

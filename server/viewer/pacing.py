@@ -13,23 +13,24 @@ class Throttle:
 
     Args:
         bytes_per_second: the rate, or None for no bound.
+
+    Attributes:
+        free_at: time before which the rate would be exceeded, in seconds.
     """
 
     def __init__(self, bytes_per_second: float | None) -> None:
         self._rate = bytes_per_second
-        self._free_at = 0.0
+        self.free_at = 0.0
 
     @property
     def bounded(self) -> bool:
         """Whether there is a rate at all."""
         return self._rate is not None
 
-    def spend(self, size_bytes: int, now: float) -> float:
-        """Count `size_bytes`; returns the seconds to wait before anything more is sent."""
-        if self._rate is None:
-            return 0.0
-        self._free_at = max(self._free_at, now) + size_bytes / self._rate
-        return self._free_at - now
+    def spend(self, size_bytes: int, now: float) -> None:
+        """Count `size_bytes` that were sent."""
+        if self._rate is not None:
+            self.free_at = max(self.free_at, now) + size_bytes / self._rate
 
 
 class Allowance:

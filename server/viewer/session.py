@@ -21,6 +21,7 @@ from streamlod.server.protocol.packets import Position
 from streamlod.server.protocol.presenting import Follow, Present
 from streamlod.server.settings import Limits
 from streamlod.server.stream.counters import Counters
+from streamlod.server.stream.description import describe
 from streamlod.server.stream.stream import Stream
 from streamlod.server.viewer.delivery import Delivery, Transport
 from streamlod.server.viewer.follower import Follower
@@ -185,7 +186,7 @@ class ViewerSession:
         _LOG.info("stream %s: viewer %s (%s) joins", stream.id, self.id, self.client)
         try:
             together = self.companion.welcome()
-            about = welcome(stream.describe(), stream.window, self.id, stream.now_ns(), self._edges, together)
+            about = welcome(describe(stream), stream.window, self.id, stream.now_ns(), self._edges, together)
             await self._delivery.send_event(about)
             while True:
                 self.wake.clear()

@@ -26,11 +26,11 @@ class SoundSender:
     def __init__(self, track: SoundTrack, delivery: Delivery, notify: Callable[[], None]) -> None:
         self._track, self._delivery, self._notify = track, delivery, notify
         self._until_ns: int | None = None
-        self.is_wanted = False
+        self._is_wanted = False
 
     def want(self, wanted: bool) -> None:
         """Begin to send sound, or end it."""
-        self.is_wanted, self._until_ns = wanted, None
+        self._is_wanted, self._until_ns = wanted, None
         (self._track.listeners.add if wanted else self._track.listeners.discard)(self._notify)
 
     def restart(self) -> None:
@@ -44,7 +44,7 @@ class SoundSender:
             played_ns: the time up to which a replay has come, or None at the live edge.
         """
         shown = self._delivery.last
-        if not self.is_wanted or shown is None:
+        if not self._is_wanted or shown is None:
             return False
         begin_ns = shown.info.time_ns if self._until_ns is None else self._until_ns
         end_ns = None if played_ns is None else played_ns + _AHEAD_NS

@@ -30,7 +30,8 @@ from streamlod.server.settings import Limits
 from streamlod.server.stream.counters import Counters
 from streamlod.server.stream.stream import Stream
 from streamlod.server.viewer.delivery import Transport
-from streamlod.server.viewer.renderer import GRADES, HEADER, GradeControl, PictureRenderer, look_along
+from streamlod.server.viewer.grades import GRADES, GradeControl
+from streamlod.server.viewer.renderer import HEADER, PictureRenderer, look_along
 from streamlod.server.viewer.session import ViewerSession
 from streamlod.server.viewer.together import Companion
 
@@ -273,11 +274,7 @@ class ThinSession:
         """Send a scene event for each new scene."""
         if self._keyframe is not None and self._keyframe.weights is scene.weights:
             return
-        self._keyframe = scene
-        await self._tell_scene(scene)
-
-    async def _tell_scene(self, scene: Scene) -> None:
-        header = scene.header
+        self._keyframe, header = scene, scene.header
         cameras = [
             {
                 "name": camera.name, "width": camera.width, "height": camera.height,

@@ -9,7 +9,8 @@ import argparse
 import time
 
 from streamlod.core.render.splatter import Splatter
-from streamlod.server.viewer.renderer import GRADES, PictureRenderer
+from streamlod.server.viewer.grades import GRADES
+from streamlod.server.viewer.renderer import PictureRenderer
 from tests.client.web.scenes import make_scene, moved
 
 _REPEATS = 5

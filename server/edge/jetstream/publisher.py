@@ -20,6 +20,7 @@ from streamlod.server.edge.jetstream.directory import SILENT_SECONDS, TELL_SECON
 from streamlod.server.edge.jetstream.messages import MSG_ID, Names, pieces_of
 from streamlod.server.protocol.packets import StreamPacket
 from streamlod.server.settings import Settings
+from streamlod.server.stream.description import describe
 from streamlod.server.stream.stream import Stream
 
 _LOG = logging.getLogger(__name__)
@@ -109,7 +110,7 @@ class Publisher:
         async with self._telling:
             self._has_left = True
             if self._is_ours.is_set():
-                await self._claim.tell(self.stream.describe(), leaving=True)
+                await self._claim.tell(describe(self.stream), leaving=True)
 
     def stream_config(self) -> StreamConfig:
         """Settings of the JetStream stream that holds the packets, with the limits of a recording."""
@@ -132,7 +133,7 @@ class Publisher:
         try:
             if self._may_be_missing:
                 await create_stream(self._connection, directory_config(self._names, self._settings))
-            ours = await self._claim.tell(self.stream.describe())
+            ours = await self._claim.tell(describe(self.stream))
             if ours and self._may_be_missing:
                 if not await create_stream(self._connection, self.stream_config()):
                     await self._connection.jetstream.update_stream(self.stream_config())

@@ -28,7 +28,8 @@ from streamlod.server.protocol.messages import parse_control, parse_hello
 from streamlod.server.protocol.thin_messages import ViewMessage
 from streamlod.server.service.metrics import collector_registry
 from streamlod.server.settings import Limits, Settings
-from streamlod.server.viewer.renderer import GRADES, HEADER, GradeControl, draw, fitted
+from streamlod.server.viewer.grades import GRADES, GradeControl
+from streamlod.server.viewer.renderer import HEADER, draw, fitted
 from tests.client.web.miniserver import make_clip
 from tests.client.web.scenes import make_scene
 from tests.server.conftest import Running, running, viewing

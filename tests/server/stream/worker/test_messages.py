@@ -12,6 +12,7 @@ from streamlod.server.ingest.sync.camera_track import CameraState
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
+from streamlod.server.stream.description import describe
 from streamlod.server.stream.worker_stream import WorkerStream
 from streamlod.server.worker.messages import Tag
 from tests.server.conftest import Clip
@@ -25,7 +26,7 @@ def test_a_stream_is_degraded_while_a_camera_is_lost(clip: Clip) -> None:
 
         async def tell(told: dict[str, Any]) -> tuple[str, str]:
             await stream.work.on_message(Tag.INGEST, json.dumps(told).encode())
-            assert stream.describe()["ingest"] == told
+            assert describe(stream)["ingest"] == told
             return stream.state, stream.detail
 
         lost = figures(CameraState.LOST, "Connection refused")
@@ -59,14 +60,14 @@ def test_who_joins_while_the_first_packet_of_an_epoch_is_decoded_is_told_which_o
             stream.hub._thread.submit(free.wait)  # decoding has to wait its turn
             feeding = asyncio.create_task(stream.work.on_message(Tag.PACKET, clip.packets[0]))
             await asyncio.sleep(0.05)
-            early, welcomed = stream.listen(), stream.describe()["epoch"]
+            early, welcomed = stream.listen(), describe(stream)["epoch"]
             assert welcomed == (None if epoch == 1 else 1)
             assert early.empty()
             free.set()
             await feeding
             assert early.get_nowait() == {"type": "event", "event": "epoch", "epoch": epoch}
             late = stream.listen()
-            assert stream.describe()["epoch"] == epoch
+            assert describe(stream)["epoch"] == epoch
             await stream.work.on_message(Tag.PACKET, clip.packets[1])
             told = [late.get_nowait()["event"] for _ in range(late.qsize())]
             assert "epoch" not in told
