@@ -8,7 +8,8 @@ import { HEADER, KEY, LIMITS, must, parseEnvelope } from "./packet.js";
 export const FILE_HEAD = 8; // bytes before the first record
 export const FOOTER = 16;
 const ENTRY = 40,
-  SIZE = 4;
+  SIZE = 4, // of a record, before it
+  INDEX_HEAD = 8;
 
 /** Refuse other files than those of this version. @type {(head: Uint8Array) => void} */
 export function checkHead(head) {
@@ -26,7 +27,9 @@ export function readFooter(tail, size) {
   const view = new DataView(tail.buffer, tail.byteOffset, tail.byteLength);
   if (tail.length !== FOOTER || view.getUint32(12, true) !== 0x58494c53) return null;
   const start = Number(view.getBigUint64(0, true));
-  return start >= 8 && start + 8 + FOOTER <= size ? { start, checksum: view.getUint32(8, true) } : null;
+  return start >= FILE_HEAD && start + INDEX_HEAD + FOOTER <= size
+    ? { start, checksum: view.getUint32(8, true) }
+    : null;
 }
 
 /**
@@ -35,11 +38,11 @@ export function readFooter(tail, size) {
  */
 export function readIndex(bytes, checksum, end) {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
-  if (bytes.length < 8 || crc32(bytes) !== checksum || view.getUint32(0, true) !== 0xffffffff) return null;
+  if (bytes.length < INDEX_HEAD || crc32(bytes) !== checksum || view.getUint32(0, true) !== 0xffffffff) return null;
   const count = view.getUint32(4, true);
-  if (bytes.length !== 8 + count * ENTRY) return null;
+  if (bytes.length !== INDEX_HEAD + count * ENTRY) return null;
   const entries = Array.from({ length: count }, (_, i) => {
-    const at = 8 + i * ENTRY,
+    const at = INDEX_HEAD + i * ENTRY,
       timeNs = view.getBigUint64(at + 24, true);
     return {
       offset: Number(view.getBigUint64(at, true)),
@@ -87,9 +90,9 @@ export function walkRecords(bytes) {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   /** @type {Entry[]} */
   const entries = [];
-  for (let at = 8; at + 4 <= bytes.length;) {
+  for (let at = FILE_HEAD; at + SIZE <= bytes.length;) {
     const size = view.getUint32(at, true),
-      offset = at + 4;
+      offset = at + SIZE;
     if (offset + size > bytes.length) break;
     try {
       entries.push({ ...parseEnvelope(bytes.subarray(offset, offset + size)).fields, offset, size });

@@ -95,8 +95,8 @@ export function emptyLevel(features, slots, count = 0) {
   };
 }
 
-/** @template {Int32Array | Int16Array | Uint8Array} A @param {A} first @param {A} second @returns {A} */
-function joined(first, second) {
+/** @template {Int32Array | Int16Array | Uint8Array | Uint32Array} A @param {A} first @param {A} second @returns {A} */
+export function joined(first, second) {
   const result = new /** @type {any} */ (first.constructor)(first.length + second.length);
   result.set(first);
   result.set(second, first.length);

@@ -15,7 +15,7 @@ export function bin(e) {
   return k + SMALL[e];
 }
 
-export const SYMBOLS = 17,
+const SYMBOLS = 17,
   BINS = 31;
 
 /**

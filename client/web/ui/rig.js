@@ -1,6 +1,7 @@
 /** The rig over the picture: cameras as pyramids with names to go to, and what each films. */
 
-import { add, dot, fromCamera, row } from "../view/camera.js";
+import { add, dot, row } from "../lib/vectors.js";
+import { fromCamera } from "../view/camera.js";
 import { element } from "./page.js";
 
 /** @typedef {import("../view/camera.js").Vec3} Vec3 */

@@ -3,7 +3,7 @@
  * (docs/protocol.md, "Together").
  */
 
-import { cross, dot, row } from "../view/camera.js";
+import { cross, dot, row } from "../lib/vectors.js";
 import { button, element, toast } from "./page.js";
 
 const SEND_MS = 150;

@@ -20,8 +20,6 @@ import { add, centre, cross, dot, row, unit } from "../lib/vectors.js";
 
 /** @typedef {import("../decode/scene.js").RigCamera} RigCamera */
 
-export { add, centre, cross, dot, row, unit } from "../lib/vectors.js";
-
 /** @type {(v: Vec3, axis: Vec3, angle: number) => Vec3} Rodrigues' rotation */
 function turn(v, axis, angle) {
   const c = Math.cos(angle),

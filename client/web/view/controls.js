@@ -1,6 +1,7 @@
 /** Hands on the camera: mouse, trackpad, touch, keyboard and gamepad turned into poses. */
 
-import { add, fly, focusOn, look, orbit, pan, unit, zoom } from "./camera.js";
+import { add, unit } from "../lib/vectors.js";
+import { fly, focusOn, look, orbit, pan, zoom } from "./camera.js";
 import { spread } from "./limits.js";
 
 /** @typedef {import("./camera.js").Vec3} Vec3 */
@@ -206,16 +207,11 @@ export class Controls {
       (event.code in ARROWS && target.closest?.("input"))
     )
       return;
-    const known =
-      event.code in FLY || event.code in ARROWS || event.key === "+" || event.key === "-" || event.key === "=";
-    if (!known) return;
-    this.keys.add(
-      known && (event.key === "+" || event.key === "=") ? "Plus" : event.key === "-" ? "Minus" : event.code,
-    );
-    if (event.key === "+" || event.key === "=" || event.key === "-") {
+    if (["+", "=", "-"].includes(event.key)) {
       this.viewer.stance.steer(this.#zoom(event.key === "-" ? 1.12 : 1 / 1.12));
       this.keys.clear();
-    }
+    } else if (event.code in FLY || event.code in ARROWS) this.keys.add(event.code);
+    else return;
     event.preventDefault();
   }
 

@@ -1,6 +1,7 @@
 /** The way of a flight across the rig. No page needed. */
 
-import { add, cross, dot, orbit, unit } from "./camera.js";
+import { add, cross, dot, unit } from "../lib/vectors.js";
+import { orbit } from "./camera.js";
 
 /** @typedef {import("./camera.js").Vec3} Vec3 */
 /** @typedef {import("./camera.js").Pose} Pose */

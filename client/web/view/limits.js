@@ -1,6 +1,7 @@
 /** The space that the rig has seen, which viewers stay in. */
 
-import { add, between, distanceTo, dot, fromCamera, unit } from "./camera.js";
+import { add, dot, unit } from "../lib/vectors.js";
+import { between, distanceTo, fromCamera } from "./camera.js";
 
 /** @typedef {import("./camera.js").Vec3} Vec3 */
 /** @typedef {import("./camera.js").Pose} Pose */

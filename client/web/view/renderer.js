@@ -7,7 +7,7 @@
 
 import { RECORD, ROW_SPLATS } from "../decode/expand.js";
 import { NEUTRAL } from "./exposure.js";
-import { MAX_BLUR, MAX_KEEP, MIN_KEEP, Surface } from "./surface.js";
+import { MAX_BLUR, MAX_KEEP, MIN_KEEP, quadVertices, Surface } from "./surface.js";
 
 /** @typedef {import("./surface.js").View} View */
 
@@ -100,8 +100,6 @@ void main() {
  */
 const rankOf = (splat) => (Math.imul(splat, 0x9e3779b9) >>> 8) / 0x1000000;
 
-const CORNERS = [0, 1, 2, 2, 1, 3]; // of a quad's two triangles
-
 /** A program of two shaders. @type {(gl: WebGL2RenderingContext, vertex: string, fragment: string) => WebGLProgram} */
 export function link(gl, vertex, fragment) {
   const program = gl.createProgram();
@@ -156,7 +154,6 @@ export class Renderer extends Surface {
     this.places = gl.createTexture(); // the order
     this.placeRows = 0;
     this.source = gl.createFramebuffer(); // to copy from
-    this.rows = 0;
     /** @type {Uint32Array} */
     this.order = new Uint32Array(0);
     this.uploaded = 1; // share of it that the graphics card has
@@ -174,11 +171,7 @@ export class Renderer extends Surface {
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.bindVertexArray(this.array);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.quads);
-    gl.bufferData(
-      gl.ELEMENT_ARRAY_BUFFER,
-      Uint16Array.from({ length: 6 * RUN }, (_, i) => 4 * Math.trunc(i / 6) + CORNERS[i % 6]),
-      gl.STATIC_DRAW,
-    );
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, quadVertices(RUN), gl.STATIC_DRAW);
     gl.enable(gl.SCISSOR_TEST); // clearing one eye's part must not clear the other's
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
@@ -216,11 +209,6 @@ export class Renderer extends Surface {
       const height = data.length / (4 * WIDTH);
       gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, first, WIDTH, height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, data);
     }
-  }
-
-  clear() {
-    this.rows = 0;
-    this.setOrder(new Uint32Array(0));
   }
 
   /** @param {Uint32Array} order */

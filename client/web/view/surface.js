@@ -7,6 +7,12 @@ export const MIN_KEEP = 0.03; // a share below would make splats too large to te
 export const MAX_BLUR = 0.05; // of what the lens shows out of focus, as a fraction of the focal length
 const SPREAD = 2; // area that coarser splats cover for each level that is missing
 
+const CORNERS = [0, 1, 2, 2, 1, 3]; // of a quad's two triangles
+
+/** The vertices of so many quads, six a quad: vertex number = 4 x quad + corner. @param {number} quads */
+export const quadVertices = (quads) =>
+  Uint16Array.from({ length: 6 * quads }, (_, i) => 4 * Math.trunc(i / 6) + CORNERS[i % 6]);
+
 /**
  * @typedef {object} View
  * @property {ArrayLike<number>} rotation - 9 numbers, row by row, world to camera
@@ -31,6 +37,7 @@ export class Surface {
     this.ends = null;
     this.movesFrom = this.movesFor = 0; // ms: since when it moves on from the state before, and for how long
     this.moved = 1; // share of the way that is drawn
+    this.rows = 0; // of splats, for which there is room
     this.missing = 0; // finest levels of the scene that are not there
     /** @type {[number, number, number]} */
     this.background = [0, 0, 0];
@@ -81,8 +88,11 @@ export class Surface {
   /** The splats to draw. @param {Uint32Array} order - their numbers, far ones first unless it sorts */
   setOrder(order) {}
 
-  /** Give the memory back before a scene that may be smaller. */
-  clear() {}
+  /** Another scene follows, which may be smaller. */
+  clear() {
+    this.rows = 0;
+    this.setOrder(new Uint32Array(0));
+  }
 
   /** @param {View} view */
   draw(view) {}

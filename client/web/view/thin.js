@@ -6,7 +6,7 @@
 
 import { heard, nameOf } from "../stream/heard.js";
 import { Link } from "../stream/link.js";
-import { centre } from "./camera.js";
+import { centre } from "../lib/vectors.js";
 import { Surface } from "./surface.js";
 
 /** @typedef {import("./messages.js").FromWorker} FromWorker */

@@ -5,7 +5,8 @@
  */
 
 import { exposureAt } from "./exposure.js";
-import { dot, homeCamera, row } from "./camera.js";
+import { dot, row } from "../lib/vectors.js";
+import { homeCamera } from "./camera.js";
 import { drawWithWebgl } from "./drawing.js";
 import { nearRadius } from "./limits.js";
 import { Pace } from "./pace.js";

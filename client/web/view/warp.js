@@ -3,7 +3,7 @@
  * takes longer than a hand waits. What the picture did not show is made of what is beside it.
  */
 
-import { dot, row } from "./camera.js";
+import { dot, row } from "../lib/vectors.js";
 import { link } from "./renderer.js";
 
 /** @typedef {import("./renderer.js").Renderer} Renderer */

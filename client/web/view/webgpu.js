@@ -6,7 +6,7 @@
 import { RECORD, ROW_SPLATS } from "../decode/expand.js";
 import { NEUTRAL } from "./exposure.js";
 import { GpuSort, QUADS, shader } from "./gpusort.js";
-import { MAX_BLUR, MAX_KEEP, MIN_KEEP, Surface } from "./surface.js";
+import { MAX_BLUR, MAX_KEEP, MIN_KEEP, quadVertices, Surface } from "./surface.js";
 
 /** @typedef {import("./surface.js").View} View */
 /** @typedef {{ project: GPUComputePipeline, draw: GPURenderPipeline, sort: GpuSort }} Programs */
@@ -16,7 +16,6 @@ const ROW_BYTES = 4 * RECORD * ROW_SPLATS;
 const QUAD_BYTES = 32,
   VIEW_BYTES = 128; // as in project.wgsl
 const MAX_GROUPS = 65_535; // of a dispatch
-const CORNERS = [0, 1, 2, 2, 1, 3]; // of a quad's two triangles
 const OVER = /** @type {GPUBlendComponent} */ ({ srcFactor: "one", dstFactor: "one-minus-src-alpha" });
 
 /**
@@ -74,16 +73,11 @@ class GpuRenderer extends Surface {
     this.context = context;
     this.device = device;
     this.programs = programs;
-    this.rows = 0;
     this.count = 0;
     this.pictures = 0; // that are being drawn
     this.view = this.#make(VIEW_BYTES, GPUBufferUsage.UNIFORM);
     this.corners = this.#make(2 * 6 * QUADS, GPUBufferUsage.INDEX);
-    device.queue.writeBuffer(
-      this.corners,
-      0,
-      Uint16Array.from({ length: 6 * QUADS }, (_, i) => 4 * Math.trunc(i / 6) + CORNERS[i % 6]),
-    );
+    device.queue.writeBuffer(this.corners, 0, quadVertices(QUADS));
     /** @type {GPUBuffer | null} */
     this.splats = null;
     /** @type {GPUBuffer | null} of the state before, once there was one to move on from */
@@ -135,11 +129,6 @@ class GpuRenderer extends Surface {
     }
     for (const { first, data } of spans)
       device.queue.writeBuffer(/** @type {GPUBuffer} */ (this.splats), first * ROW_BYTES, /** @type {any} */ (data));
-  }
-
-  clear() {
-    this.rows = 0;
-    this.setOrder(new Uint32Array(0));
   }
 
   /** @param {Uint32Array} order */

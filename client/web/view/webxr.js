@@ -4,7 +4,7 @@
  * XR space has x right, y up, z backward; here as everywhere x right, y down, z forward, so y and z change sign.
  */
 
-import { add, cross, dot, row, unit } from "./camera.js";
+import { add, cross, dot, row, unit } from "../lib/vectors.js";
 
 /** @typedef {import("./viewer.js").Viewer} Viewer */
 /** @typedef {import("./camera.js").Vec3} Vec3 */

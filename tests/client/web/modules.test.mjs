@@ -10,6 +10,7 @@ import { inflateColumns } from "../../../client/web/decode/deflate.js";
 import { Reader } from "../../../client/web/decode/packet.js";
 import { follow } from "../../../client/web/lib/follow.js";
 import { rigUp, upright, viewOf } from "../../../client/web/lib/rig.js";
+import { cross, row } from "../../../client/web/lib/vectors.js";
 import { braked, held, outside, seenSpace, spread } from "../../../client/web/view/limits.js";
 import { Quality } from "../../../client/web/view/quality.js";
 import { ServerClock } from "../../../client/web/stream/clock.js";
@@ -47,7 +48,7 @@ test("sound comes from its camera, to ears that face as the page does", () => {
   const { ahead, up } = facing(turned.rotation);
   near(ahead, [1, 0, 0]);
   near(up, [0, -1, 0]);
-  near(camera.cross(ahead, up), [0, 0, -1]); // what an audio listener takes for its right
+  near(cross(ahead, up), [0, 0, -1]); // what an audio listener takes for its right
   near([reachOf([-3, -2, 1], [0, 2, 1])], [5]);
   assert.ok(reachOf([1, 1, 1], [1, 1, 1]) > 0);
 });
@@ -60,7 +61,7 @@ test("positive yaw shows what lies to the right, positive pitch what lies above"
 test("pitch stops before the pole and leaves the picture level", () => {
   let pose = POSE;
   for (let i = 0; i < 100; i++) pose = camera.orbit(pose, UP, 0.05, 0.1);
-  const forward = camera.row(pose.rotation, 2), right = camera.row(pose.rotation, 0);
+  const forward = row(pose.rotation, 2), right = row(pose.rotation, 0);
   assert.ok(Math.abs(forward[1]) < 0.9999);
   near([right[1]], [0], 1e-9);
 });
@@ -719,7 +720,7 @@ test("straight down or up, a rig still has a rotation to stand upright by", () =
     const matrix = upright([{ name: "a", width: 1, height: 1, intrinsics: [1, 0, 0, 0, 1, 0, 0, 0, 1], worldToCamera: [...m, 0, 0, 0, 1] }]);
     const [a, b, c] = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map((axis) => applied(matrix, axis, 0));
     near([a, b, c].map((v) => Math.hypot(...v)), [1, 1, 1]);
-    near(camera.cross(a, b), c);
+    near(cross(a, b), c);
     near(applied(matrix, down, 0), [0, -1, 0]);
   }
 });
