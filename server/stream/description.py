@@ -1,4 +1,4 @@
-"""What a stream says of itself: STREAM of docs/protocol.md."""
+"""STREAM of docs/protocol.md: what a stream says of itself, its state, newest position, progress and figures."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from streamlod.server.stream.stream import Stream
 
 
 def describe(stream: Stream) -> dict[str, Any]:
-    """Its state, newest position, progress and figures."""
+    """STREAM of docs/protocol.md."""
     scene, newest = stream.hub.scene, stream.newest
     return {
         "id": stream.id,
