@@ -172,6 +172,7 @@ async function playFile(url, token, loop) {
   shown = { position: null, filmedMs: null, lagSeconds: null };
   keyframe = -1;
   before = { version: -1, timeMs: 0 };
+  gapMs = NaN;
   const { Recording } = await import("../stream/recording.js");
   source = new Recording(url, token, handlers, loop);
   status();

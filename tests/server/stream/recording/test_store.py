@@ -252,3 +252,20 @@ def test_the_bus_reads_from_memory_and_disk_alike(tmp_path: Path) -> None:
         store.close()
 
     asyncio.run(run())
+
+
+def test_a_group_that_could_not_be_read_once_tells_its_times_later(tmp_path: Path) -> None:
+    record(tmp_path / "state", packets_of(tmp_path))
+    recording = reopened(tmp_path / "state")
+    bus, file = Bus(1, recording), recording.segments[1].path
+
+    def begins() -> list[int | None]:
+        return [group.first_time_ns for group in asyncio.run(bus.groups())]
+
+    hidden = file.rename(file.with_suffix(".hidden"))
+    first, unread, last = begins()
+    assert first is not None
+    assert unread is None
+    assert last is not None
+    hidden.rename(file)
+    assert begins()[1] is not None
