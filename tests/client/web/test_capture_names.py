@@ -136,8 +136,8 @@ def test_a_name_that_was_taken_while_the_browser_asked_for_the_camera_is_left_to
             found.wait(1)
             slow.evaluate("window.allow()")
             says(slow, "Filming as phone2")
-            delivered = [frame.present[0] for frame in found.wait(10)]
-            assert sum(delivered) > 5, "on a busy machine a picture may be late"
+            delivered = found.wait(10)
+            assert any(frame.present.all() for frame in delivered), "on a busy machine many a picture is late"
             says(quick, "Filming as phone1")
             assert [page.input_value("#name") for page in (quick, slow)] == ["phone1", "phone2"]
 

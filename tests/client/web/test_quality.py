@@ -183,7 +183,8 @@ def test_the_page_never_stands_still_for_the_graphics_card(page: Any, url: str) 
 WARP = """async () => {
   const { walkRecords } = await import("/decode/container.js"), { loadKernel } = await import("/decode/expand.js");
   const { Engine } = await import("/view/engine.js"), { Renderer } = await import("/view/renderer.js");
-  const { Warp } = await import("/view/warp.js"), { fromCamera, orbit, row, dot } = await import("/view/camera.js");
+  const { Warp } = await import("/view/warp.js"), { fromCamera, orbit } = await import("/view/camera.js");
+  const { dot, row } = await import("/lib/vectors.js");
   const engine = new Engine(await loadKernel(await (await fetch("/decode/kernel.wasm")).arrayBuffer()));
   const bytes = new Uint8Array(await (await fetch("/files/clip.slod")).arrayBuffer());
   for (const { offset, size } of walkRecords(bytes)) engine.push(bytes.subarray(offset, offset + size));
