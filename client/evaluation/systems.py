@@ -163,14 +163,16 @@ def with_steps(scene: Scene, old: PredictConfig, new: PredictConfig) -> Scene:
 
 
 def with_coarser_steps(config: TrainConfig, factor: float) -> TrainConfig:
-    """The same training with steps of residuals `factor` times as wide; rates are in steps, so all moves as before."""
+    """The same training with steps of residuals `factor` times as wide; rates in steps change, so all moves as before.
+
+    Positions learn in pixels, whatever their steps.
+    """
     predict = replace(
         config.predict,
         feature_step=config.predict.feature_step * factor,
         offset_step=config.predict.offset_step * factor,
         position_steps_per_cell=max(round(config.predict.position_steps_per_cell / factor), 1),
         latent_rate=config.predict.latent_rate / factor,
-        position_rate=config.predict.position_rate / factor,
     )
     return replace(config, predict=predict)
 
