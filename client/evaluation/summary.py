@@ -75,7 +75,7 @@ def run_figures(run: SystemRun) -> dict[str, Any]:
         "render_fps": 1 / max(float(np.median([picture.render_seconds for picture in pictures])), 1e-9),
         "peak_bytes": run.peak_bytes,
         "anchors": run.anchors,
-        "dynamic_share": mean(frame.report.dynamic / max(frame.report.anchors, 1) for frame in later),
+        "dynamic_share": mean(frame.report.dynamic / max(frame.anchors_before, 1) for frame in later),
         "motion_precision": (right / dynamic if dynamic else 1.0) if motions else None,
         "motion_recall": (found / moving if moving else 1.0) if motions else None,
         "caps": [

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import sklearn.mixture  # noqa: F401  later frames load it, which takes a second: the first one measured must not pay
 
 from streamlod.client.evaluation.measure.footage import Footage
 from streamlod.client.evaluation.measure.memory import forget_peak, peak_bytes
@@ -55,6 +56,7 @@ class TrainedScore:
         report: of the trainer. cpu_seconds: processor time of training, of all threads.
         motion: the dynamic set against the truth, None where there is no truth.
         moving: quality on moving pixels, None where nothing is known to move.
+        anchors_before: alive before the frame; 0 before the first.
     """
 
     frame: int
@@ -65,6 +67,7 @@ class TrainedScore:
     cpu_seconds: float
     motion: MotionScore | None = None
     moving: MovingScore | None = None
+    anchors_before: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,6 +232,7 @@ def run_system(
                 frame.cpu_seconds,
                 _motion(frame, footage, spec),
                 moving,
+                0 if before is None else before.anchor_count,
             )
         )
     if scene is None or truth is None:

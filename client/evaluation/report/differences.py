@@ -24,17 +24,20 @@ class Effect:
 
 
 def differences_table(rows: Sequence[dict[str, Any]]) -> str:
-    """Markdown: each row's mean difference from ours (paper star's from paper) over the seeds that both have."""
+    """Markdown: each row's mean difference from ours over the seeds that both have; paper star's from paper, and so
+    called."""
     by_name = {row["name"]: row for row in rows}
     body = []
     for row in rows:
-        base = by_name.get("paper" if row["name"] == "paper star" else "ours")
+        is_star = row["name"] == "paper star"
+        base = by_name.get("paper" if is_star else "ours")
         if base is None or row is base:
             continue
         pairs = paired(base["seeds"], row["seeds"])
         if pairs:
             columns = ("psnr", "bytes", "stream", "seconds", "fps")
-            body.append([row["name"], *(_cell(name, pairs) for name in columns)])
+            name = f"{row['name']}, from paper" if is_star else row["name"]
+            body.append([name, *(_cell(column, pairs) for column in columns)])
     return table(
         ("system", "PSNR dB", "bytes a predicted frame", "bytes a frame of a stream", "CPU seconds a frame", "fps"),
         body,

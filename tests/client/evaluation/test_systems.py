@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -91,8 +93,15 @@ def test_anchors_move_as_far_in_finer_steps(footage: Footage, first_frames: Firs
     """Sixteen times as far, pictures would lose 0.4 dB."""
     predict = replace(CONFIG.predict, cue="everything", rate_weight=0.0, minimum_steps=40)
     config = replace(CONFIG, predict=predict)
-    coarse, fine = (run_system(each, footage, first_frames).frames[-1] for each in (config, unquantised(config)))
-    assert fine.picture.psnr > coarse.picture.psnr - 0.1
+    coarse, fine = (run_system(each, footage, first_frames) for each in (config, unquantised(config)))
+    assert fine.frames[-1].picture.psnr > coarse.frames[-1].picture.psnr - 0.1
+    assert run_figures(coarse)["dynamic_share"] == 1  # of those there were, whatever went in the frame
+
+
+@pytest.mark.long
+def test_no_frame_is_charged_with_the_loading_of_a_library() -> None:
+    code = "import sys, streamlod.client.evaluation.systems; sys.exit('sklearn.mixture' not in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 @pytest.mark.long

@@ -33,4 +33,4 @@ def test_each_system_is_compared_with_its_base() -> None:
     text = differences_table(rows)
     assert "| one level | -2.00 | x 1.00" in text
     assert "| paper | -2.00 | x 1.00" in text
-    assert "| paper star | -1.00 | x 1.00" in text
+    assert "| paper star, from paper | -1.00 | x 1.00" in text
