@@ -19,7 +19,6 @@ def explain(error: Exception) -> int:
         sys.stderr.write(f"streamlod: {' '.join(_sentence(error).split())}\n")
         return FAULT
     if type(error).__name__ == "Abort":
-        sys.stderr.write("\ninterrupted\n")
         return INTERRUPTED
     raise error
 

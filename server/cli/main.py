@@ -24,13 +24,14 @@ def main() -> NoReturn:
     signal.signal(signal.SIGTERM, _terminate)
     try:
         code = app(args=arguments, standalone_mode=False)
-    except KeyboardInterrupt:
-        sys.stderr.write("\ninterrupted\n")
+    except KeyboardInterrupt:  # typer takes those of a command, and returns the same code
         code = INTERRUPTED
     except Exception as error:
         if debug:
             traceback.print_exc()
         code = explain(error)
+    if code == INTERRUPTED:
+        sys.stderr.write("\ninterrupted\n")
     raise SystemExit(code or 0)
 
 

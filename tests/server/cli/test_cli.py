@@ -256,6 +256,21 @@ def test_a_port_in_use_is_one_sentence(run: Run, scene: Path) -> None:
 
 
 @pytest.mark.long
+def test_what_is_interrupted_says_so(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "streamlod.server.cli", "synth", str(tmp_path / "clip"), "--frames", "9999"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as synth:
+        assert synth.stderr is not None
+        try:
+            while "%" not in synth.stderr.read(1):
+                pass
+            synth.send_signal(signal.SIGINT)
+            assert synth.stderr.read().endswith("\ninterrupted\n")
+            assert synth.wait(60) == 130
+        finally:
+            synth.kill()
+
+
+@pytest.mark.long
 def test_serve_and_view_until_interrupted(run: Run, tmp_path: Path, scene: Path) -> None:
     command = [sys.executable, "-m", "streamlod.server.cli", "serve", "--play", str(scene), "--port", "0"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as server:
