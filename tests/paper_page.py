@@ -20,6 +20,9 @@ from. The fields of `core/train/config.py` and of the parts of later frames (`co
 `core/train/paper/growth.py`) hold all of it. `streamlod train --set NAME=VALUE` changes any of them. `make api` prints
 this page.
 
+`parts` names the parts of later frames that take part, in their order, as in `--set parts=flow_search+new_anchors`;
+what is left out here has settings once it is named.
+
 """
 
 
@@ -42,8 +45,14 @@ def _rows_of(name: str, settings: type[Any], *, is_ours: bool) -> Iterator[list[
     for field in fields(settings):
         choice = field.metadata["paper"]
         source = f"section {choice.section}" if choice.section else "our reading"
-        default = f"{field.default}" if is_ours else LEFT_OUT
-        yield [f"`{name}.{field.name}`", field.metadata["meaning"], default, f"{choice.value}", source, choice.why]
+        default = field.default if is_ours else LEFT_OUT
+        cells = [field.metadata["meaning"], _as_given(default), _as_given(choice.value), source, choice.why]
+        yield [f"`{name}.{field.name}`", *cells]
+
+
+def _as_given(value: Any) -> str:
+    """A value as `--set` takes it."""
+    return str(value).lower() if value is None or isinstance(value, bool) else str(value)
 
 
 def _row(cells: list[str]) -> str:

@@ -57,10 +57,17 @@ def training_cameras(
         names: all cameras. train, views, test: as the options of these names.
 
     Raises:
-        InputError: a camera that does not exist, or more views than cameras remain.
+        InputError: a camera that does not exist or is named twice, more views than cameras remain, or another number
+            of them than `train` names.
     """
     if not train:
         return linspace_split(names, views, test).train
+    if len(set(train)) < len(train):
+        raise InputError("--train", "names a camera twice")
+    if views not in {None, len(train)}:
+        raise InputError(
+            "--views", f"asks for {views} training cameras, but --train names {len(train)}; leave one away"
+        )
     _check_known(train, names, "--train")
     _check_known(test, names, "--test")
     return tuple(train)

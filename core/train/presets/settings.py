@@ -62,11 +62,23 @@ def _parts_in(text: Value, config: TrainConfig) -> tuple[PartSettings, ...]:
 def _changed(config: TrainConfig, name: str, value: Value) -> TrainConfig:
     group, _, setting = name.partition(".")
     if name not in setting_names(config):
-        raise InputError(f"setting {name!r:.80}", f"unknown{_like(name, setting_names(config))}")
+        raise _unknown(name, config)
     if group in _GROUPS:
         return replace(config, **{group: _replaced(getattr(config, group), name, setting, value)})
     parts = [_replaced(part, name, setting, value) if part.name == group else part for part in config.parts]
     return replace(config, parts=tuple(parts))
+
+
+def _unknown(name: str, config: TrainConfig) -> InputError:
+    group, _, setting = name.partition(".")
+    if group in PARTS and setting in {field.name for field in fields(PARTS[group])}:
+        parts = "+".join([*(part.name for part in config.parts), group])
+        return InputError(f"setting {name}", f"unknown, as {group} does not take part; it does with parts={parts}")
+    known = setting_names(config)
+    last = name.rpartition(".")[2]
+    alike = [other for other in known if other.rpartition(".")[2] == last]
+    near = f"; did you mean {', '.join(alike)}?" if alike else _like(name, known)
+    return InputError(f"setting {name!r:.80}", f"unknown{near}")
 
 
 def _replaced(settings: Any, name: str, setting: str, value: Value) -> Any:

@@ -61,7 +61,11 @@ def evaluate(
     layout: Layout = None,
     downscale: Annotated[
         float | None,
-        typer.Option(help="How many times smaller than filmed the pictures are; by default as small as in training."),
+        typer.Option(
+            min=1,
+            max=64,
+            help="How many times smaller than filmed the pictures are; by default as small as in training.",
+        ),
     ] = None,
 ) -> None:
     """Decode a file, render its cameras or held-out ones, and measure quality, size and speed."""

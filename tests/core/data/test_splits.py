@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from streamlod.core.data import linspace_split, read_split
+from streamlod.core.data import linspace_split, read_split, training_cameras
 from streamlod.core.errors import InputError
 
 MEET_ROOM = [f"cam_{number}" for number in range(13)]
@@ -70,3 +70,12 @@ def test_faults_in_split_files(tmp_path: Path, value: object, message: str) -> N
     path.write_text(json.dumps(value))
     with pytest.raises(InputError, match=rf"split\.json: {message}|{message}"):
         read_split(path, MEET_ROOM)
+
+
+def test_training_cameras_are_named_once_and_as_many_as_asked_for() -> None:
+    names = ("cam00", "cam01", "cam02")
+    assert training_cameras(names, ("cam02", "cam00"), 2, ()) == ("cam02", "cam00")
+    with pytest.raises(InputError, match="--train: names a camera twice"):
+        training_cameras(names, ("cam01", "cam01"), None, ())
+    with pytest.raises(InputError, match="--views: asks for 3 training cameras, but --train names 1"):
+        training_cameras(names, ("cam01",), 3, ())

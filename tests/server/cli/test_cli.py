@@ -115,6 +115,7 @@ def test_the_contract_of_options(run: Run, command: str, options: str) -> None:
     "arguments",
     [
         ("evaluate", "x", "y", "--test", "z", "--layout", "pile"),
+        ("evaluate", "x", "y", "--downscale", "0"),
         ("train",),
         ("fly",),
         ("train", "x", "--out", "y", "--device", "tpu"),

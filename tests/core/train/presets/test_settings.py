@@ -46,6 +46,12 @@ def test_parts_are_left_out_and_keep_their_settings() -> None:
     ("changes", "sentence"),
     [
         ({"keyframe.step": 5}, r"'keyframe.step'.*did you mean keyframe.steps"),
+        ({"steps": 5}, r"'steps': unknown; did you mean keyframe.steps\?"),
+        ({"predict.steps": 5}, r"'predict.steps': unknown; did you mean keyframe.steps\?"),
+        (
+            {"gradient_growth.at": 0.2},
+            r"gradient_growth does not take part; .* parts=flow_search\+new_anchors\+gradient",
+        ),
         ({"nonsense": 5}, r"unknown; choose of flow_search.pixels, "),
         ({"keyframe.steps": 5.5}, "whole number from 0 to 10000000, not 5.5"),
         ({"keyframe.steps": True}, "whole number"),
