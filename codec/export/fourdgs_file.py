@@ -27,6 +27,7 @@ from streamlod.core.scene.metadata import Metadata
 MAX_BYTES = 1 << 30  # of a file that is read
 _SYSTEM, _COLOURS = "y-up-right-handed", "srgb-rec709-display"  # of the files that are written
 _CUTOFF = 0.05  # the format's own; nothing here fades
+_EARLY = 1e-4  # seconds by which states begin before their time, which is rounded: who looks at 2/30 s sees the third
 _AXES = np.array([1, -1, -1], np.float32)
 _UP = {"y-up-right-handed": "y", "": "-y"}  # by the file's coordinate system; "" is one that says none
 _Span = tuple[GaussianCloud, float, float]  # Gaussians, and the seconds from which to which they are shown
@@ -133,11 +134,11 @@ def _spans(frames: Iterable[tuple[float, Scene]], viewpoints: Float64) -> Iterat
     """Gaussians for as long as their anchors stay as they are."""
     before: Scene | None = None
     begins: list[Float64] = []
-    now, last, step = 0.0, 0.0, 1.0
-    for now, scene in frames:
-        same = False
+    at, last, step = 0.0, 0.0, 1.0
+    for at, scene in frames:
+        now, same = max(at - _EARLY, 0.0), False
         if before is not None:
-            step, same = now - last, (before.keyframe, before.identifier) == (scene.keyframe, scene.identifier)
+            step, same = at - last, (before.keyframe, before.identifier) == (scene.keyframe, scene.identifier)
             for n, level in enumerate(before.levels):
                 changed = _changed(before, scene, n) if same else np.flatnonzero(level.alive)
                 yield from _shown(before, n, changed, begins[n], now, viewpoints)
@@ -146,10 +147,10 @@ def _spans(frames: Iterable[tuple[float, Scene]], viewpoints: Float64) -> Iterat
             np.concatenate([begins[n] if same else np.zeros(0), np.full(len(level), now)])[: len(level)]
             for n, level in enumerate(scene.levels)
         ]
-        before, last = scene, now
+        before, last = scene, at
     if before is not None:
         for n, level in enumerate(before.levels):
-            yield from _shown(before, n, np.flatnonzero(level.alive), begins[n], now + step, viewpoints)
+            yield from _shown(before, n, np.flatnonzero(level.alive), begins[n], at + step, viewpoints)
 
 
 def _changed(before: Scene, after: Scene, number: int) -> Int64:

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from streamlod.client.commands import export
 from streamlod.client.recording import decode_frames
+from streamlod.codec.export import fourdgs_file
 from streamlod.codec.imported import import_files
 from streamlod.core.camera import look_at, pinhole
 from streamlod.core.errors import InputError
@@ -49,6 +50,18 @@ def test_the_other_program_reads_what_we_write_at_each_instant(tmp_path: Path) -
         assert np.abs(written.colors[state["indices"], :3] - wanted.colours[row]).mean() < 0.02
     assert clip.duration_sec == pytest.approx(4 * FRAME_NS / 1e9)
     assert clip.header.attributes["coordinate_system"] == "y-up-right-handed"
+
+
+def test_a_program_that_looks_at_each_frame_sees_that_one(tmp_path: Path) -> None:
+    """Times are whole nanoseconds: the third of 30 frames a second begins after 2/30 s."""
+    scenes, fps = states(4), 30
+    frames = [(round(number * 1e9 / fps) / 1e9, scene) for number, scene in enumerate(scenes)]
+    fourdgs_file.write_clip(tmp_path / "a.4dgs", frames, EYE[None], Metadata(), fps)
+    clip = fourdgs.read(str(tmp_path / "a.4dgs"))
+    for number, scene in enumerate(scenes):
+        wanted, means = expand(scene, EYE).means, clip.state_at(number / fps)["centers"] * [1, -1, -1]
+        assert len(means) == len(wanted)
+        assert cKDTree(wanted).query(means)[0].max() < 1e-3 * np.ptp(wanted, axis=0).max()
 
 
 def test_there_and_back_shows_the_same(tmp_path: Path) -> None:
