@@ -20,7 +20,7 @@ from streamlod.client.viewpoints import CameraPath, along, camera_named, orbit, 
 from streamlod.codec.export import bake, write_snapshot
 from streamlod.codec.snapshots import CLIP_SUFFIXES, FORMATS, PACKET_SUFFIXES, formats_called
 from streamlod.core.arrays import Float64
-from streamlod.core.data.names import spoken
+from streamlod.core.data.names import counted, spoken
 from streamlod.core.errors import BitstreamError, InputError, RequestRefused, SessionError
 from streamlod.core.files import check_output, write_text
 from streamlod.core.options import TOKEN_VARIABLE
@@ -99,7 +99,7 @@ def view(
             if error.close_code != _NO_STREAM:
                 raise
             raise SessionError(_NO_STREAM, f"{error.detail}{_streams_there(url, options.token)}") from error
-    return f"{count} pictures in {out}"
+    return f"{counted(count, 'picture')} in {out}"
 
 
 def _streams_there(url: str, token: str | None) -> str:
@@ -159,11 +159,13 @@ def export(
         viewpoint: a camera's name, at which view-dependent colour is frozen, or "average" over the rig.
         out: the file, or the folder of a sequence; beside the scene by default.
     """
-    if out is not None and not sequence:
+    if out is not None and not (sequence and file_format in FORMATS):
         _check_suffix(out, file_format)
     if file_format in PACKET_SUFFIXES:
         if frame:
             raise InputError("--frame", f"{file_format} carries the whole recording")
+        if viewpoint != AVERAGE:
+            raise InputError("--view", f"{file_format} carries colours for all views; leave it away")
         return _export_packets(scene, file_format, out)
     if file_format in CLIP_SUFFIXES:
         return _export_clip(
@@ -188,7 +190,7 @@ def export(
         if version >= frame:
             _snapshot(folder / f"frame_{version:05d}{suffix}", decoded.scene, viewpoint, file_format)
             count += 1
-    return f"{count} snapshots in {folder}, colours {_origin(viewpoint)}"
+    return f"{counted(count, 'snapshot')} in {folder}, colours {_origin(viewpoint)}"
 
 
 def _export_clip(scene: Path, frame: int, viewpoint: str, out: Path) -> str:
@@ -224,7 +226,7 @@ def _export_packets(scene: Path, file_format: str, out: Path | None) -> str:
         count, has_sound = write(scene, out)
     except BitstreamError as error:
         raise InputError(scene, f"is damaged: {error}") from error
-    return f"{out}: {count} groups of pictures{', with sound' if has_sound else ''}"
+    return f"{out}: {counted(count, 'group')} of pictures{', with sound' if has_sound else ''}"
 
 
 def import_scene(source: str, out: Path | None, fps: float, gaussians: int, up: str | None) -> str:
@@ -241,9 +243,13 @@ def import_scene(source: str, out: Path | None, fps: float, gaussians: int, up: 
         out = out or (name if place.scheme in ("http", "https") else Path(source).with_name(name.name))
         return save_hls(source, out, os.environ.get(TOKEN_VARIABLE))
     path = Path(source)
+    if not path.exists():
+        raise InputError(path, "does not exist")
+    beside = path.with_name(f"{path.stem}.slod")
+    if out is None and beside.exists():
+        raise InputError(beside, "exists already; name it by --out to replace it, or another file")
     with progress_bar(unit="file", desc="import", delay=_BAR_DELAY_SECONDS) as bar:
-        out = out or path.with_name(f"{path.stem}.slod")
-        return import_files(path, out, fps, gaussians, up, lambda _: bar.update())
+        return import_files(path, out or beside, fps, gaussians, up, lambda _: bar.update())
 
 
 def _existing(scene: Path, frame: int) -> int:

@@ -19,6 +19,7 @@ from streamlod.codec.mp4.reader import Mp4Reader
 from streamlod.codec.packet.info import PacketInfo, peek
 from streamlod.codec.sound.beside import sound_beside
 from streamlod.codec.sound.packets import OpusPacket, OpusSettings, write_packets
+from streamlod.core.data.names import counted
 from streamlod.core.errors import BitstreamError, InputError
 from streamlod.core.web_address import address_parts
 
@@ -98,7 +99,7 @@ def save_hls(address: str, out: Path, token: str | None = None) -> str:
     heard = settings is not None and bool(sound)
     if settings is not None and sound:
         write_packets(sound_beside(out), settings, sound)
-    return f"{out}: {count} packets of {len(wanted)} segments{', with sound' if heard else ''}"
+    return f"{out}: {counted(count, 'packet')} of {counted(len(wanted), 'segment')}{', with sound' if heard else ''}"
 
 
 def _last_run(parts: list[PlaylistPart]) -> list[PlaylistPart]:

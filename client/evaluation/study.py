@@ -30,6 +30,7 @@ from streamlod.client.evaluation.summary import run_figures, spread
 from streamlod.client.evaluation.systems import PERCEIVED, FirstFrames, run_system
 from streamlod.client.recorder import write_png
 from streamlod.core.arrays import UInt8
+from streamlod.core.data.names import counted
 from streamlod.core.files import write_text
 from streamlod.core.synthetic import SyntheticSpec, read_spec
 
@@ -81,7 +82,8 @@ def run_study(data: Path, out: Path, options: StudyOptions, rows: tuple[Row, ...
             write_text(out / path, plot)
         _write(out, study)
     names = {row["name"] for entry in study["splits"] for row in entry["rows"]}
-    return f"{out / 'study.md'}: {len(names)} systems, {len(study['splits'])} splits, {len(study['seeds'])} seeds"
+    found = ((names, "system"), (study["splits"], "split"), (study["seeds"], "seed"))
+    return f"{out / 'study.md'}: {', '.join(counted(len(each), what) for each, what in found)}"
 
 
 def _begun_study(data: Path, out: Path, options: StudyOptions) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from streamlod.codec.mp4.file import write_slod
 from streamlod.codec.mp4.reader import is_mp4
 from streamlod.codec.packet.limits import DEFAULT_LIMITS
 from streamlod.codec.snapshots import CLIP_SUFFIXES, FORMATS, format_of
+from streamlod.core.data.names import counted
 from streamlod.core.errors import InputError
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.gaussians import GaussianCloud
@@ -81,8 +82,8 @@ def import_files(
         for second in range(1, STILL_SECONDS + 1) if count == 1 else ():
             slod.append(writer.still(second))
     lost = f", of {writer.seen} the {writer.kept} that show most" if writer.kept < writer.seen else ""
-    frames = f"{count} frames" if count > 1 else "1 frame"
-    return f"{out}: {frames} of {writer.kept} Gaussians{lost}, {writer.keyframes} keyframes"
+    frames = f"{counted(count, 'frame')} of {counted(writer.kept, 'Gaussian')}{lost}"
+    return f"{out}: {frames}, {counted(writer.keyframes, 'keyframe')}"
 
 
 class _Frames:

@@ -38,6 +38,11 @@ def spoken(names: Iterable[str], at_most: int = 40) -> str:
     return f"{listed(names[:-1])} and {listed(names[-1:])}"
 
 
+def counted(number: int, what: str) -> str:
+    """So many of something as a sentence has them: "1 frame", "2 frames"."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
 def files_in(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     """Files of `folder` with one of the lower-case `suffixes`, in numeric order; hidden files left out."""
     found = (p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".") and p.is_file())

@@ -10,7 +10,7 @@ from streamlod.core.data import caliscope, transforms
 from streamlod.core.data.caliscope import read_caliscope
 from streamlod.core.data.colmap.reader import is_colmap, read_colmap
 from streamlod.core.data.dataset import Dataset, RawRecording, dataset
-from streamlod.core.data.names import folders_in, listed
+from streamlod.core.data.names import counted, folders_in, listed
 from streamlod.core.data.transforms import read_transforms
 from streamlod.core.data.video_folder import read_video_folder, video_files
 from streamlod.core.errors import InputError
@@ -55,8 +55,9 @@ def open_dataset(
     opened = dataset(_READERS[chosen](folder), downscale, cameras)
     first = opened.cameras[0]
     _log.info(
-        "%s: %s, %d cameras, %d frames, %dx%d",
-        *(folder, chosen, len(opened.cameras), opened.frame_count, first.width, first.height),
+        "%s: %s, %s, %s, %dx%d",
+        *(folder, chosen, counted(len(opened.cameras), "camera"), counted(opened.frame_count, "frame")),
+        *(first.width, first.height),
     )
     return opened
 

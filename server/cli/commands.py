@@ -17,6 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
+from streamlod.core.data.names import counted
 from streamlod.core.errors import BackendUnavailable, BitstreamError, InputError, TrainingCutShort
 from streamlod.core.files import write_text
 from streamlod.core.options import TOKEN_VARIABLE
@@ -59,7 +60,7 @@ def synth(
         shutil.rmtree(folder)
     with progress_bar(total=100, unit="%", desc="synth") as bar:
         write_clip(spec, folder, lambda fraction: _set(bar, 100 * fraction))
-    return f"{folder}: {kind}, {cameras} cameras, {frames} frames of {size}"
+    return f"{folder}: {kind}, {counted(cameras, 'camera')}, {counted(frames, 'frame')} of {size}"
 
 
 def check_cameras(job: TrainJob) -> None:
@@ -114,7 +115,8 @@ def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None, so
     spent = f"first frame {first_frame:.1f} s" if first_frame is not None else "resumed"
     spent += f", later frames {later_frames:.2f} s each" if later_frames is not None else ""
     heard = sound_beside(out).exists()
-    return f"{out}: {len(encoded)} frames, {out.stat().st_size / 1000:.1f} KB, {'with sound, ' if heard else ''}{spent}"
+    size = f"{counted(len(encoded), 'frame')}, {out.stat().st_size / 1000:.1f} KB"
+    return f"{out}: {size}, {'with sound, ' if heard else ''}{spent}"
 
 
 def playable(path: Path) -> Path:

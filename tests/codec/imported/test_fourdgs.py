@@ -69,7 +69,7 @@ def test_there_and_back_shows_the_same(tmp_path: Path) -> None:
     write_clip(tmp_path / "a.slod", scenes)
     export(tmp_path / "a.slod", 0, "average", "4dgs")
     fps = 1e9 / FRAME_NS
-    assert import_files(tmp_path / "a.4dgs", tmp_path / "b.slod", fps).endswith("1 keyframes")
+    assert import_files(tmp_path / "a.4dgs", tmp_path / "b.slod", fps).endswith("1 keyframe")
     for scene, frame in zip(scenes, decode_frames(tmp_path / "b.slod"), strict=True):
         wanted, found = _shown(expand(scene, EYE)), _shown(expand(frame.scene, EYE))
         assert len(found) == pytest.approx(len(wanted), abs=3)

@@ -55,7 +55,7 @@ def test_a_file_shows_its_gaussians_and_stays_alive(tmp_path: Path, name: str) -
     for package in {"glb": ["fourdgs"], "spz4": ["zstandard"]}.get(name, []):
         pytest.importorskip(package, reason="such files need streamlod[interchange]")
     path = _write(tmp_path, [some_cloud()], name) / f"frame_0{FORMATS[name].suffix}"
-    assert import_files(path, tmp_path / "a.slod") == f"{tmp_path / 'a.slod'}: 1 frame of 400 Gaussians, 1 keyframes"
+    assert import_files(path, tmp_path / "a.slod") == f"{tmp_path / 'a.slod'}: 1 frame of 400 Gaussians, 1 keyframe"
     _assert_shows(decode_version(tmp_path / "a.slod", 0), some_cloud(), 0.04)
     with SlodReader(tmp_path / "a.slod") as reader:
         assert [entry.time_ns for entry in reader.entries[:3]] == [0, 10**9, 2 * 10**9]
@@ -68,7 +68,7 @@ def test_a_sequence_becomes_changes_in_natural_order(tmp_path: Path) -> None:
     folder = _write(tmp_path / "take", clouds)
     (folder / "notes.txt").write_text("not a frame")
     (folder / ".hidden.ply").write_text("not a frame")
-    assert "12 frames of 400 Gaussians, 1 keyframes" in import_files(folder, tmp_path / "a.slod", fps=24)
+    assert "12 frames of 400 Gaussians, 1 keyframe" in import_files(folder, tmp_path / "a.slod", fps=24)
     frames = list(decode_frames(tmp_path / "a.slod"))
     for cloud, frame in zip(clouds, frames, strict=True):
         _assert_shows(frame.scene, cloud, 0.02)

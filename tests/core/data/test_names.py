@@ -6,7 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from streamlod.core.data.names import camera_names, in_numeric_order, instant_numbers, like_most, listed, spoken
+from streamlod.core.data.names import (
+    camera_names,
+    counted,
+    in_numeric_order,
+    instant_numbers,
+    like_most,
+    listed,
+    spoken,
+)
 
 
 def test_numbers_sort_as_numbers() -> None:
@@ -28,6 +36,10 @@ def test_names_in_a_sentence_end_with_and() -> None:
         "a, b and c",
         "a, b, c and 1 more",
     ]
+
+
+def test_one_of_something_is_no_plural() -> None:
+    assert [counted(number, "frame") for number in (0, 1, 2)] == ["0 frames", "1 frame", "2 frames"]
 
 
 def test_names_fit_into_a_stream() -> None:

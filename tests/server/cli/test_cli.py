@@ -235,7 +235,19 @@ def test_info_and_export(run: Run, tmp_path: Path, scene: Path) -> None:
         ("t.obj", "usd", "must end in .usdc or .usda or .usd"),
     ):
         assert_refused(run("export", scene, "--format", form, "--out", tmp_path / name), fault)
-    assert not any((tmp_path / name).exists() for name in ("t.ply", "t.mp4", "t.obj"))
+    assert_refused(run("export", scene, "--format", "4dgs", "--sequence", "--out", tmp_path / "t"), "must end in .4dgs")
+    assert_refused(run("export", scene, "--format", "mp4", "--view", "cam00"), "--view: mp4 carries colours for all")
+    assert not any((tmp_path / name).exists() for name in ("t.ply", "t.mp4", "t.obj", "t"))
+
+
+def test_an_import_does_not_replace_the_recording_that_its_file_came_of(run: Run, tmp_path: Path, scene: Path) -> None:
+    before, snapshot = scene.read_bytes(), scene.with_suffix(".ply")
+    assert_refused(run("import", snapshot), snapshot, "does not exist")
+    assert run("export", scene, "--out", snapshot).returncode == 0
+    assert_refused(run("import", snapshot), scene, "exists already; name it by --out")
+    assert scene.read_bytes() == before
+    assert "1 frame of" in run("import", snapshot, "--out", scene).stdout
+    assert scene.read_bytes() != before
 
 
 def test_places_that_cannot_be_written_are_refused_before_the_work(
