@@ -147,7 +147,11 @@ def evaluate(
         write_text(report, json.dumps(figures, indent=1) + "\n")
         write_text(report.with_suffix(".svg"), frames_plot(scene.stem, figures["per_frame"]) + "\n")
     where = "held-out cameras" if test else "cameras that trained, as --test names no other"
-    return f"{_summary(figures['mean'], figures['frames'], where)}\n{places_table(figures['places'])}".rstrip()
+    frames, there = figures["frames"], figures["file_frames"]
+    if frames < there:
+        where += f"; of the others {data} has no picture from each camera that is measured"
+    count = counted(frames, "frame") if frames == there else f"{frames} of {there} frames"
+    return f"{_summary(figures['mean'], count, where)}\n{places_table(figures['places'])}".rstrip()
 
 
 def export(
@@ -288,7 +292,7 @@ def _origin(viewpoint: str) -> str:
     return "averaged over the rig's cameras" if viewpoint == AVERAGE else f"as seen from {viewpoint}"
 
 
-def _summary(mean: dict[str, Any], frames: int, where: str) -> str:
+def _summary(mean: dict[str, Any], frames: str, where: str) -> str:
     rows: tuple[tuple[str, str, Callable[[float], str]], ...] = (
         ("PSNR", "psnr", lambda x: f"{x:.2f} dB"),
         ("PSNR, exposure fitted", "psnr_fitted", lambda x: f"{x:.2f} dB"),
@@ -303,6 +307,6 @@ def _summary(mean: dict[str, Any], frames: int, where: str) -> str:
         ("later frames", "train_seconds", lambda x: f"{x:.2f} s"),
         ("rendering", "render_fps", lambda x: f"{x:.1f} fps"),
     )
-    lines = [f"{frames} frames, means over the {where}:"]
+    lines = [f"{frames}, means over the {where}:"]
     lines += [f"  {label:26s}{form(mean[key]) if mean[key] is not None else 'unknown'}" for label, key, form in rows]
     return "\n".join(lines)

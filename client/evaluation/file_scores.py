@@ -7,6 +7,7 @@ leaves beside it.
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable, Generator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from streamlod.client.evaluation.measure.elsewhere import told_elsewhere
 from streamlod.client.evaluation.measure.moving import (
     MovingPixels,
     MovingScore,
@@ -26,7 +28,7 @@ from streamlod.client.evaluation.measure.places import mean_places, places
 from streamlod.client.evaluation.measure.scores import PictureScore, draw, load_perception, mean_score, score
 from streamlod.client.evaluation.report.output import result_folder, side_by_side
 from streamlod.client.recorder import write_png
-from streamlod.client.recording import RecordedFrame, decode_frames
+from streamlod.client.recording import RecordedFrame, decode_frames, versions
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.camera.space import space_of
@@ -36,6 +38,8 @@ from streamlod.core.errors import InputError
 from streamlod.core.frames import FrameSet
 from streamlod.core.scene.anchors import Scene, SceneHeader
 from streamlod.core.synthetic import SyntheticSpec, read_spec
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +71,7 @@ def evaluate_file(
     downscale: float | None = None,
     tell: Callable[[DecodedScore], None] = lambda score: None,
 ) -> dict[str, Any]:
-    """The report: `per_frame` and `mean`, see the README for its keys.
+    """The report: figures of each frame that was measured, their means, and those of each place.
 
     Args:
         test: names of the held-out cameras; without any, all that trained are measured.
@@ -106,9 +110,12 @@ def evaluate_file(
                     write_png(result_folder(images) / f"{camera.name}_{index:05d}.png", side_by_side(*pair))
             tell(scores[-1])
     if not scores:
-        raise InputError(scene, f"has no frame at the times of {data}; is it a recording of this data set?")
+        raise InputError(
+            scene,
+            f"has no frame of which {data} has a picture from each camera that is measured; is it a file of that?",
+        )
     names = tuple(camera.name for camera in cameras)
-    return _report(scores, training, scene.stat().st_size, names)
+    return {**_report(scores, training, scene.stat().st_size, names), "file_frames": len(versions(scene))}
 
 
 def _measured(test: tuple[str, ...], dataset: Dataset) -> int:
@@ -188,8 +195,11 @@ def _dataset(
     if scale >= 1 + 1e-3:
         full = open_dataset(data, layout=layout, downscale=scale).select(names)
     # Files of other versions, or of a part of this rig, have a space of their own: their cameras tell which.
-    space = space_of(full.calibrated, header.cameras)
-    return full.normalised() if space is None else full.placed(space)
+    space = space_of(full.upright, header.cameras)
+    placed = full.normalised() if space is None else full.placed(space)
+    if elsewhere := told_elsewhere(placed.upright, header.cameras):
+        _log.warning("%s: %s", data, elsewhere)
+    return placed
 
 
 def _training_figures(scene: Path) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from streamlod.core.render.splatter import Splatter, draw_cloud
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.gaussians import GaussianCloud
 from tests.client.clips import plain_scene, states, write_clip
-from tests.core.data.writers import llff_rows, write_video
+from tests.core.data.writers import llff_rows, write_colmap_binary, write_picture, write_video
 
 FRAMES = 4
 
@@ -179,6 +179,50 @@ def test_what_cannot_be_evaluated(clip: tuple[Path, Path, list[Scene], list[byte
     with pytest.raises(InputError, match=r"a\.slod\.json: cannot be read"):
         evaluate_file(scene, data, ("cam00",))
     scene.with_name("a.slod.json").unlink()
+
+
+def test_frames_without_a_picture_of_each_camera_are_left_out_and_counted(
+    clip: tuple[Path, Path, list[Scene], list[bytes]], tmp_path: Path
+) -> None:
+    scene, data, scenes, _ = clip
+    shutil.copytree(data, tmp_path / "data")
+    large = next(camera for camera in scenes[0].header.cameras if camera.name == "cam01").scaled(160, 96)
+    write_video(tmp_path / "data" / "cam01.mp4", [Splatter().picture(state, large) for state in scenes[:2]])
+    text = evaluate(scene, tmp_path / "data", ("cam01",), tmp_path / "report.json")
+    left_out = f"of the others {tmp_path / 'data'} has no picture from each camera that is measured:"
+    assert text.startswith(f"2 of 4 frames, means over the held-out cameras; {left_out}")
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert (report["frames"], report["file_frames"]) == (2, 4)
+    assert evaluate(scene, data, ("cam01",)).startswith("4 frames, means over the held-out cameras:")
+
+
+def test_a_camera_that_stood_upright_among_lying_ones_is_measured_where_it_stood(
+    clip: tuple[Path, Path, list[Scene], list[bytes]], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    state = clip[2][0]
+    *lying, last = state.header.cameras
+    cameras = [*lying, last.turned()]
+    write_clip(tmp_path / "a.slod", [replace(state, header=replace(state.header, cameras=tuple(cameras)))])
+    entries = [(f"{camera.name}.png", camera, "PINHOLE") for camera in cameras]
+    write_colmap_binary(tmp_path / "data" / "sparse" / "0", entries, np.zeros((0, 6)))
+    for camera in cameras:
+        write_picture(tmp_path / "data" / "images" / f"{camera.name}.png", Splatter().picture(state, camera))
+    report = evaluate_file(tmp_path / "a.slod", tmp_path / "data", ())
+    assert min(place["psnr"] for place in report["places"]["at"].values()) > 45
+    assert "stand elsewhere" not in caplog.text
+
+
+def test_a_recording_of_another_rig_is_told(
+    clip: tuple[Path, Path, list[Scene], list[bytes]], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    scene, data, scenes, _ = clip
+    evaluate(scene, data, ("cam01",))
+    assert "stand elsewhere" not in caplog.text
+    shutil.copytree(data, tmp_path / "data")
+    cameras = [camera.scaled(160, 96) for camera in scenes[0].header.cameras]
+    np.save(tmp_path / "data" / "poses_bounds.npy", llff_rows(cameras[::-1]))
+    evaluate(scene, tmp_path / "data", ("cam01",))
+    assert "stand elsewhere than those of the file (cam" in caplog.text
 
 
 def test_side_by_side_shows_the_difference() -> None:
