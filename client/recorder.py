@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import AbstractContextManager
 from fractions import Fraction
 from pathlib import Path
@@ -16,6 +17,7 @@ from streamlod.core.errors import InputError
 from streamlod.core.files import put_in_place, temporary_beside, write_bytes
 
 _OTHERS = (".avi", ".gif", ".jpeg", ".jpg", ".m4v", ".mkv", ".mov", ".png", ".webm", ".webp")
+_FINEST = 1001  # largest denominator of a film's rate
 _QUALITY = "18"  # x264's constant rate factor: visually near lossless
 _LEFT_BYTES = 1 << 20  # of the disk, in which a film is ended, besides what follows
 _HELD_PICTURES = 64  # or fewer, that the encoder has taken and not given out
@@ -41,9 +43,12 @@ def open_recorder(out: Path | str, fps: float) -> Recorder:
     """An MP4 file where `out` ends in .mp4, otherwise a folder of numbered PNGs.
 
     Raises:
-        InputError: the place cannot be written to, or is called like a film or picture of another kind.
+        InputError: the place cannot be written to, or is called like a film or picture of another kind, or `fps` is no
+            rate.
     """
     out = Path(out)
+    if not 1 / _FINEST <= fps < math.inf:
+        raise InputError("fps", f"must be a number above 0, not {fps:g}")
     if out.suffix.lower() in _OTHERS and not out.is_dir():
         raise InputError(out, "is neither an .mp4 file nor a folder of pictures; name one of these")
     try:
@@ -63,11 +68,13 @@ def write_png(path: Path | str, picture: UInt8) -> None:
 
     Raises:
         TypeError, ValueError: another type, such as float, or shape.
-        InputError: the file cannot be written.
+        InputError: the file cannot be written, or the picture has no pixel.
     """
     import cv2
 
     check_array("picture", picture, (None, None, 3), np.uint8)
+    if not picture.size:
+        raise InputError(path, "a picture needs a pixel a side or more")
     done, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
     if not done:
         raise InputError(path, "the picture could not be encoded as PNG")
@@ -93,7 +100,7 @@ class _Mp4(AbstractContextManager["_Mp4"]):
     """H.264 in MP4, 4:2:0; odd sizes lose their last row or column."""
 
     def __init__(self, path: Path, fps: float) -> None:
-        self._path, self._rate = path, Fraction(fps).limit_denominator(1001)
+        self._path, self._rate = path, Fraction(fps).limit_denominator(_FINEST)
         self._temporary = temporary_beside(path)
         self._container: Any = None
         self._stream: Any = None
@@ -103,6 +110,7 @@ class _Mp4(AbstractContextManager["_Mp4"]):
     def add(self, picture: UInt8) -> None:
         import av
 
+        check_array("picture", picture, (None, None, 3), np.uint8)
         height, width = picture.shape[0] & ~1, picture.shape[1] & ~1
         if not height or not width:
             raise InputError(

@@ -43,8 +43,10 @@ def orbit(header: SceneHeader, pictures: int | None = None) -> CameraPath:
         pictures: number of pictures of a turn.
 
     Raises:
-        InputError: the scene has no cameras.
+        InputError: the scene has no cameras, or a turn no picture.
     """
+    if pictures is not None and pictures < 1:
+        raise InputError("orbit", f"a turn needs a picture or more, not {pictures}")
     if not header.cameras:
         raise InputError("--orbit", "the scene has no cameras to orbit among; give --pose")
     centres = np.stack([camera.centre for camera in header.cameras])

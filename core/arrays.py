@@ -24,7 +24,7 @@ def check_array(name: str, array: NDArray[Any], shape: tuple[int | None, ...], d
         ValueError: another shape.
     """
     if not isinstance(array, np.ndarray) or array.dtype != np.dtype(dtype):
-        found = getattr(array, "dtype", type(array).__name__)
+        found = array.dtype if isinstance(array, np.ndarray) else f"a {type(array).__name__}"
         raise TypeError(f"{name} must be an array of {np.dtype(dtype)}, not {found}")
     fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape, strict=True))
     if not fits:

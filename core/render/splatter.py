@@ -8,11 +8,14 @@ import numpy as np
 
 from streamlod.core.arrays import Float32, Int64, UInt8
 from streamlod.core.camera import Camera
+from streamlod.core.errors import InputError
 from streamlod.core.render.cpu import render
 from streamlod.core.scene.anchors import AnchorLevel, Scene
 from streamlod.core.scene.expand import expand, expand_slots, visible, without_near
 from streamlod.core.scene.exposures import NEUTRAL, CameraExposure, exposure_at
 from streamlod.core.scene.gaussians import GaussianCloud, concatenate
+
+_MAX_SIDE = 16384  # pixels of a picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,7 +28,16 @@ class _Expanded:
 
 
 def draw_cloud(cloud: GaussianCloud, camera: Camera, background: Float32, exposure: CameraExposure = NEUTRAL) -> UInt8:
-    """[H,W,3] uint8 RGB of `cloud` before `background` [3], as `camera` sees it, at an exposure."""
+    """[H,W,3] uint8 RGB of `cloud` before `background` [3], as `camera` sees it, at an exposure.
+
+    Raises:
+        InputError: a picture that is too large.
+    """
+    if max(camera.width, camera.height) > _MAX_SIDE:
+        size = f"{camera.width}x{camera.height}"
+        raise InputError(
+            f"camera {camera.name}", f"its picture of {size} is too large; {_MAX_SIDE} a side are the most"
+        )
     image = render(cloud, camera, background).image
     if not exposure.is_neutral:
         image = exposure.apply(image)
@@ -52,11 +64,16 @@ class Splatter:
 
         Args:
             levels: how many levels to draw, coarse ones first; all by default.
+
+        Raises:
+            InputError: a negative number of levels, or a picture that is too large.
         """
         return draw_cloud(self.cloud(scene, camera, levels), camera, scene.header.background, shown_at(scene, camera))
 
     def cloud(self, scene: Scene, camera: Camera, levels: int | None = None) -> GaussianCloud:
         """The Gaussians that `picture` draws: those of `core.scene.expand.expand`."""
+        if levels is not None and levels < 0:
+            raise InputError("levels", f"must be at least 0, not {levels}")
         count = len(scene.levels) if levels is None else min(levels, len(scene.levels))
         if scene.header.view_dependent:
             return expand(scene, camera.centre, count - 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import av
@@ -123,3 +124,19 @@ def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:
     for out in (tmp_path / "file" / "x.mp4", tmp_path / "file" / "x"):
         with pytest.raises(InputError, match="cannot be written"):
             open_recorder(out, 30)
+
+
+@pytest.mark.parametrize("fps", [0, -30, math.nan, math.inf])
+def test_what_is_no_rate_is_refused_before_a_file_is_made(tmp_path: Path, fps: float) -> None:
+    with pytest.raises(InputError, match="fps: must be a number above 0"):
+        open_recorder(tmp_path / "a" / "b.mp4", fps)
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["film.mp4", "pictures"])
+def test_what_is_no_picture_is_refused_alike_in_films_and_folders(tmp_path: Path, name: str) -> None:
+    for wrong, kind in ((np.zeros((4, 4, 3)), TypeError), (np.zeros((4, 4), np.uint8), ValueError)):
+        with pytest.raises(kind, match="picture must"), open_recorder(tmp_path / name, 30) as recorder:
+            recorder.add(wrong)
+    with pytest.raises(InputError, match="a side"), open_recorder(tmp_path / name, 30) as recorder:
+        recorder.add(np.zeros((0, 4, 3), np.uint8))

@@ -58,6 +58,9 @@ def test_orbit_of_a_single_camera_still_moves() -> None:
     assert np.linalg.norm(path(0).centre - path(2).centre) > 0.01
     with pytest.raises(InputError, match="no cameras"):
         orbit(replace(HEADER, cameras=()))
+    for pictures in (0, -3):
+        with pytest.raises(InputError, match=f"a turn needs a picture or more, not {pictures}"):
+            orbit(HEADER, pictures)
 
 
 def write(tmp_path: Path, value: Any) -> Path:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from streamlod.core.errors import InputError
 from streamlod.core.render.cpu import render
 from streamlod.core.render.splatter import Splatter
 from streamlod.core.scene.anchors import Scene
@@ -86,3 +87,13 @@ def test_picture_is_the_rendered_image_rounded() -> None:
     assert picture.shape == (54, 96, 3)
     assert np.abs(picture / 255.0 - np.clip(expected, 0, 1)).max() <= 0.5 / 255 + 1e-4
     assert picture.std() > 1
+
+
+def test_what_cannot_be_drawn_is_refused_before_there_is_room_for_it() -> None:
+    scene = plain_scene()
+    camera = scene.header.cameras[0]
+    with pytest.raises(InputError, match="picture of 1000000x1000000 is too large"):
+        Splatter().picture(scene, camera.scaled(1_000_000, 1_000_000))
+    with pytest.raises(InputError, match="levels: must be at least 0, not -1"):
+        Splatter().picture(scene, camera, -1)
+    assert len(np.unique(Splatter().picture(scene, camera, 0).reshape(-1, 3), axis=0)) == 1  # the background alone
