@@ -33,7 +33,10 @@ def bench(
     context: typer.Context,
     name: Annotated[str | None, typer.Argument(help="Which; without a name they are listed.")] = None,
 ) -> None:
-    """Run a benchmark of the source checkout; further arguments are its own."""
+    """Run a benchmark of the source checkout; further arguments are its own.
+
+    Most say which by `bench NAME -- --help`.
+    """
     from streamlod.server.cli.commands import bench as run
 
     if text := run(name, context.args):
