@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import sklearn.mixture  # noqa: F401  later frames load it, which takes a second: the first one measured must not pay
 
 from streamlod.client.evaluation.measure.footage import Footage
 from streamlod.client.evaluation.measure.memory import forget_peak, peak_bytes
@@ -141,6 +140,8 @@ class FirstFrames:
         """The first frame under `config`, with the peak memory in bytes and the processor time of its training."""
         key = (config.model, config.keyframe, config.seed)
         if key not in self._known:
+            if not self._known:
+                _rehearse(footage, config, self.device)
             forget_peak()
             begin = time.process_time()
             trained = _trainer(footage, config, self.device).keyframe(frame, footage.points)
@@ -149,6 +150,17 @@ class FirstFrames:
         first = self._known[key]
         scene = with_steps(first.trained.scene, first.steps, config.predict)
         return replace(first.trained, scene=scene), first.peak_bytes, first.cpu_seconds
+
+
+def _rehearse(footage: Footage, config: TrainConfig, device: str) -> None:
+    """Train two frames in a few steps: none that is measured waits for what is compiled and loaded in them."""
+    keyframe = replace(config.keyframe, steps=12, growth_interval=4)
+    brief = replace(config, keyframe=keyframe, predict=replace(config.predict, epochs=1, minimum_steps=4))
+    trainer = _trainer(footage, brief, device)
+    first, *later = footage.training.frames(0, min(2, footage.frames))
+    trainer.keyframe(first, footage.points)
+    for frame in later:
+        trainer.predict(frame)
 
 
 def with_steps(scene: Scene, old: PredictConfig, new: PredictConfig) -> Scene:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ from streamlod.core.errors import InputError
 from streamlod.core.train import preset
 from tests.client.evaluation.conftest import SPEC, shortened
 
+ROOT = Path(__file__).parents[3]
 CONFIG = shortened(preset("balanced"))
 
 
@@ -99,9 +102,10 @@ def test_anchors_move_as_far_in_finer_steps(footage: Footage, first_frames: Firs
 
 
 @pytest.mark.long
-def test_no_frame_is_charged_with_the_loading_of_a_library() -> None:
-    code = "import sys, streamlod.client.evaluation.systems; sys.exit('sklearn.mixture' not in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+def test_no_later_frame_is_charged_with_what_is_loaded_or_compiled(clip: Path) -> None:
+    command = [sys.executable, "-m", "tests.client.evaluation.charged", str(clip)]
+    answer = subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT, timeout=300)
+    assert json.loads(answer.stdout.splitlines()[-1]) == []
 
 
 @pytest.mark.long
