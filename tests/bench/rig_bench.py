@@ -11,8 +11,8 @@ there; bytes and CPU seconds a frame, and seconds of each stage. `--out` saves t
 `--at`, beside the truth, and says which of them are worst.
 
 `--total` goes on for so many later frames, back and forth through the instants, and also tells the means of each
-hundred of them, with the peak of the memory, so that drift shows; `--keyframes` sends one after each so many frames, as
-a stream does, with its bytes and seconds among those of its frame.
+hundred of them, with the peak of the memory, so that drift shows; `--keyframes` sends some as a stream does, at the
+latest after so many frames, with their bytes and seconds among those of their frame.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from streamlod.client.evaluation.report.output import result_folder, side_by_sid
 from streamlod.client.recorder import write_png
 from streamlod.codec.decoder import SceneDecoder
 from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.refresh import RefreshRule, RefreshSchedule
 from streamlod.core.arrays import Bool, UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.data import linspace_split, open_dataset
@@ -64,7 +65,10 @@ class Subject:
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """Figures of one run, a later frame each: dB at the cameras, held out, and of changed pixels; bytes, seconds."""
+    """Figures of one run, a later frame each: dB at the cameras, held out, and of changed pixels; bytes, seconds.
+
+    `keyframes` are numbers of the frames that one was sent after.
+    """
 
     at: list[list[float]] = field(default_factory=list)
     beside: list[list[float]] = field(default_factory=list)
@@ -73,6 +77,7 @@ class Course:
     size: list[int] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     stages: Counter[str] = field(default_factory=Counter)
+    keyframes: list[int] = field(default_factory=list)
 
     def of_latest(self, count: int) -> str:
         """Means of the latest `count` frames."""
@@ -80,7 +85,9 @@ class Course:
         text = f"to frame {len(self.size)}: at {at:.2f} dB, changed {moving:.2f}"
         if self.beside:
             text += f", held out {np.mean(self.beside[-count:]):.2f}"
-        return text + f", {np.mean(self.size[-count:]):.0f} bytes, {np.mean(self.seconds[-count:]):.2f} CPU s"
+        sent = sum(number > len(self.size) - count for number in self.keyframes)
+        size, seconds = np.mean(self.size[-count:]), np.mean(self.seconds[-count:])
+        return text + f", {size:.0f} bytes, {sent} keyframes, {seconds:.2f} CPU s"
 
     def told(self) -> str:
         """One line."""
@@ -150,6 +157,7 @@ def follow(
     """Train all frames after the first and measure them; also the states after the frames `at`, counted from 1."""
     course, scenes = Course(), dict[int, Scene]()
     trainer = Trainer(subject.cameras, config, subject.fps, "cpu", clock=time.process_time)
+    schedule = None if keyframes is None else RefreshSchedule(RefreshRule(max_age=keyframes))
     trainer.resume(first)
     trainer.predict(subject.training[0])  # tells the trainer what the first frame was shown
     trainer.resume(first, keep_references=True)
@@ -159,7 +167,8 @@ def follow(
         course.stages.update(result.report.seconds)
         assert result.residual is not None
         size_bytes = len(encode_residual(before, result.residual, time_ns=frame.time_ns))
-        if keyframes and number % keyframes == 0:
+        if schedule is not None and schedule.due(before, result.scene) is not None:
+            course.keyframes.append(number)
             size_bytes += len(encode_keyframe(trainer.refresh(frame).scene, time_ns=frame.time_ns))
         course.size.append(size_bytes)
         course.seconds.append(time.process_time() - begin)
@@ -230,7 +239,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--preset", default="live")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--total", type=int, help="later frames, back and forth through those of --frames")
-    parser.add_argument("--keyframes", type=int, help="later frames after which one is sent")
+    parser.add_argument("--keyframes", type=int, help="most later frames before one is sent")
     parser.add_argument("--views", type=int)
     parser.add_argument("--test", nargs="*", default=[], help="cameras that are held out")
     parser.add_argument("--first", type=Path, help="packet of the first frame, written where it is absent")
