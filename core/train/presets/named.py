@@ -14,7 +14,7 @@ PRESETS = {
     "balanced": TrainConfig(parts=USUAL),
     "quality": TrainConfig(
         ModelConfig(max_anchors=200_000),
-        KeyframeConfig(steps=4920, growth_interval=50, refresh_steps=400),
+        KeyframeConfig(refresh_steps=400),
         PredictConfig(epochs=40, minimum_steps=320, rate_weight=0.0042),
         USUAL,
     ),
