@@ -14,6 +14,7 @@ from streamlod.codec.opening import open_packets
 from streamlod.codec.packet.bytes import parse
 from streamlod.codec.packet.info import PacketInfo, describe
 from streamlod.codec.packet.packet import PacketKind
+from streamlod.core.data.names import counted
 from streamlod.core.errors import BitstreamError, InputError
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.metadata import Metadata
@@ -84,7 +85,7 @@ def _file_lines(path: Path, size: int, infos: list[PacketInfo]) -> list[str]:
     first, last = min(info.to_version for info in infos), max(info.to_version for info in infos)
     profiles = ", ".join(str(profile) for profile in sorted({info.profile for info in infos}))
     return [
-        f"{path}: {size / 1000:.1f} KB, {len(infos)} packets, profile {profiles}",
+        f"{path}: {size / 1000:.1f} KB, {counted(len(infos), 'packet')}, profile {profiles}",
         f"frames {first} to {last}, {seconds:.2f} s from the first to the last",
     ]
 

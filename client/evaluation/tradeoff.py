@@ -28,6 +28,7 @@ from streamlod.client.evaluation.report.tables import number, table
 from streamlod.client.evaluation.resume import as_json, earlier_report, missing_seeds, with_earlier
 from streamlod.client.evaluation.summary import mean, run_figures
 from streamlod.client.evaluation.systems import FirstFrames, SystemRun, run_system
+from streamlod.core.data.names import counted
 from streamlod.core.files import write_text
 
 _log = logging.getLogger(__name__)
@@ -192,8 +193,9 @@ def tradeoff_report(value: dict[str, Any]) -> str:
     lines = [
         f"# Price of quality on {value['data']}",
         "",
-        f"{host['processor']}, {host['cores']} cores{accelerator}; {value['frames']} frames; split {split['name']}, "
-        f"held out {', '.join(split['test'])}. One setting at a time away from the preset {value['base']}; {seeds}. "
+        f"{host['processor']}, {host['cores']} cores{accelerator}; {counted(value['frames'], 'frame')}; "
+        f"split {split['name']}, held out {', '.join(split['test'])}. "
+        f"One setting at a time away from the preset {value['base']}; {seeds}. "
         "Held-out pictures keep their size whatever the training pictures' is.",
         "",
         table(head, body),

@@ -183,7 +183,8 @@ class Scene:
     """The complete state of one instant: what a keyframe carries and a decoder holds.
 
     Attributes:
-        header, weights: fixed until the next keyframe.
+        header: what is fixed until the next keyframe.
+        weights: of the network, likewise.
         levels: one AnchorLevel for each octree level, coarse to fine.
         keyframe: version at which the header and weights were sent.
         version: number of the state in its epoch.

@@ -11,6 +11,7 @@ from streamlod.client.evaluation.measure.scores import METRICS
 from streamlod.client.evaluation.measure.sizes import KEYFRAME_INTERVAL
 from streamlod.client.evaluation.report.differences import differences_table
 from streamlod.client.evaluation.report.tables import number, spread_number, table
+from streamlod.core.data.names import counted
 
 _QUALITY = ("system", *(metric.heading for metric in (*METRICS, *MOVING_METRICS)))
 _PLACES = ("system", *PLACE_HEADINGS)
@@ -40,7 +41,7 @@ def study_report(study: dict[str, Any]) -> str:
     lines = [
         f"# Study of {study['data']}",
         "",
-        f"Measured on {cores}; {protocol['frames']} frames, downscale {protocol['downscale']:g}, seeds "
+        f"Measured on {cores}; {counted(protocol['frames'], 'frame')}, downscale {protocol['downscale']:g}, seeds "
         f"{', '.join(map(str, study['seeds']))}. Held-out cameras only; every system of a split starts from the "
         "same first points. Figures are means over frames and held-out cameras, then mean ± standard deviation over "
         "seeds. "
