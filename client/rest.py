@@ -125,7 +125,8 @@ class ServerClient:
         """Write the sound of a stream to an Ogg Opus file; returns its length in bytes.
 
         Args:
-            from_ns, to_ns: times between which live sound is wanted, on the clock of the packets.
+            from_ns: time from which live sound is wanted, on the clock of the packets.
+            to_ns: time up to which it is wanted; None for all that there is.
         """
         times = {"from_ns": from_ns, "to_ns": to_ns}
         given = {name: value for name, value in times.items() if value}
