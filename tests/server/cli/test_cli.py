@@ -268,7 +268,16 @@ def test_a_port_in_use_is_one_sentence(run: Run, scene: Path) -> None:
         assert_refused(run("serve", "--play", scene, "--port", port), f"port {port}")
 
 
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Processes that the test starts take an interrupt, which those of a shell's background ignore."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.long
+@pytest.mark.usefixtures("interruptible")
 def test_what_is_interrupted_says_so(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "streamlod.server.cli", "synth", str(tmp_path / "clip"), "--frames", "9999"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as synth:

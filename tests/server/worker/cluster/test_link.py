@@ -65,17 +65,21 @@ def test_who_does_not_know_the_secret_is_not_listened_to(monkeypatch: pytest.Mon
 
 
 @contextmanager
-def no_more_files() -> Iterator[None]:
-    """This process can open no further file."""
+def no_more_files() -> Iterator[Callable[[], None]]:
+    """This process can open no further file, nor, once what is given was called, where one has been closed since."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     highest = max(int(entry.name) for entry in Path("/proc/self/fd").iterdir())
     resource.setrlimit(resource.RLIMIT_NOFILE, (highest + 1, hard))
     filling = []
-    try:
+
+    def fill() -> None:
         with suppress(OSError):
             while True:
                 filling.append(os.dup(0))
-        yield
+
+    try:
+        fill()
+        yield fill
     finally:
         for each in filling:
             os.close(each)
@@ -84,18 +88,21 @@ def no_more_files() -> Iterator[None]:
 
 def test_connections_are_taken_again_when_one_could_not_be(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     found: queue.SimpleQueue[Connection] = queue.SimpleQueue()
-    with listening_at(HOST, found.put) as address, serving_socket(tmp_path / "pushed", found.put), ExitStack() as stack:
-        one = stack.enter_context(socket.socket())
-        other = stack.enter_context(socket.socket(socket.AF_UNIX))
-        with no_more_files():
-            one.connect((address.host, address.port))
-            other.connect(str(tmp_path / "pushed"))
-            limit = time.monotonic() + 60
-            while len({record.name for record in caplog.records}) < 2:
-                assert time.monotonic() < limit
-                time.sleep(0.01)
-        one.sendall(address.secret)
-        for _ in range(2):
+    pushed, connected = tmp_path / "pushed", 0
+    with listening_at(HOST, found.put) as address, serving_socket(pushed, found.put), ExitStack() as stack:
+        ours = [
+            [stack.enter_context(socket.socket(kind)) for kind in (socket.AF_INET, socket.AF_UNIX)] for _ in "12345"
+        ]
+        with no_more_files() as fill:
+            while len({record.name for record in caplog.records}) < 2:  # other threads may close files meanwhile
+                fill()
+                one, other = ours.pop()
+                one.connect((address.host, address.port))
+                one.sendall(address.secret)
+                other.connect(str(pushed))
+                connected += 2
+                time.sleep(2)
+        for _ in range(connected):
             found.get(timeout=60).close()
 
 
